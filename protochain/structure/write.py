@@ -22,11 +22,19 @@ from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import listed
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.sources import from_dictionary
+from protochain.ligands.sources import from_dictionary, of_residue
 from protochain.ligands.tables import ORDERS, heavy_rows, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
-from protochain.structure.formats.records import Rows, cif_rows, orders, pdb_lines, put, with_names
+from protochain.structure.formats.records import (
+    Rows,
+    cif_rows,
+    orders,
+    pdb_lines,
+    put,
+    with_component,
+    with_names,
+)
 from protochain.structure.formats.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
 from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, settle, with_header
 from protochain.structure.molecule.links import is_metal
@@ -131,7 +139,11 @@ def _renamed(structure: Structure, names: Mapping[str, str]) -> Structure:
     topology = deepcopy(structure.topology)
     for residue in topology.residues():
         residue.name = names.get(residue.name, residue.name)
-    return replace(structure, topology=topology)
+    header = structure.header
+    # No source has the chemistry of a bonded component under the short name.
+    for name in sorted(_bonded(structure) & names.keys()):
+        header = with_component(header, heavy_rows(names[name], of_residue(name, structure.header)))
+    return replace(structure, topology=topology, header=header)
 
 
 def check_format(path: Path) -> None:
@@ -393,10 +405,7 @@ def _pdb(
 ) -> str:
     chemistry = _chemistry(models[0])
     drawn = {row["comp_id"] for row in chemistry.get(_BONDS, ())}
-    residues = np.unique(
-        [models[0].atom_residue[k] for each in models[0].fragments for k in each.atoms if k >= 0]
-    )
-    bonded = {str(models[0].residue_name[r]) for r in residues.astype(int)} - drawn
+    bonded = _bonded(models[0]) - drawn
     before, names, whole = pdb_lines(models[0].header, out, chemistry, bonded)
     lines = [
         *before,
@@ -444,6 +453,12 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
             if component in stated:
                 known = bonded.get((i, j), known)
             out.add_conect(ends[0], ends[1], 1 if is_link else known)
+
+
+def _bonded(structure: Structure) -> set[str]:
+    """Names of the residues that no template fits."""
+    atoms = [k for each in structure.fragments for k in each.atoms.tolist() if k >= 0]
+    return {str(structure.residue_name[structure.atom_residue[k]]) for k in atoms}
 
 
 def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:

@@ -61,6 +61,7 @@ KINDS = {
     "given ligand": filed(f"{CHEMISTRY}cov_Z9Q.cif", ligands={"Z9Q": SOTORASIB}),
     "given ligand, double bond": bonded("pyridoxal", "QPL", "Cc1ncc(COP(=O)(O)O)c(C=O)c1O"),
     "given ligand, double bond, chain": bonded("retinal", "QRT", "O=CC=C(C)C=CC=C(C)C=CC1=C(C)CCCC1(C)C"),
+    "given ligand, long name": bonded("pyridoxal", "QPLXY", "Cc1ncc(COP(=O)(O)O)c(C=O)c1O"),
     "given ligand, acceptor": bonded("acrylate-at-lysine", "QKR", "C=CC(=O)O"),
     "given ligand, leaving group": bonded("sulfonyl-tyrosine", "QES", "NCCc1ccc(cc1)S(=O)(=O)F"),
     "given amino acid": filed(f"{CHEMISTRY}ncaa_given_as_smiles.cif", ligands={"ZZA": NITROTYROSINE}),

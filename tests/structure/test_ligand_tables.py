@@ -340,3 +340,15 @@ def test_the_sdf_has_a_ligand_that_is_bonded_to_the_protein(tmp_path, kind):
     assert made.GetProp("protochain_bonds") == f"{a} of residue {i + 1} {residue} of chain A and {b}"
     assert float(made.GetProp("protochain_energy_kj_mol")) == pytest.approx(result.energy_end, abs=1e-3)
     assert float(made.GetProp("protochain_rmsd_angstrom")) > 0.0
+
+
+def test_commands_write_a_ligand_that_is_bonded(tmp_path, capsys):
+    path, _ = covalent.written(tmp_path, covalent.KINDS["disulfide-mercaptoethanol"])
+    sdf = tmp_path / "out.sdf"
+    for command, options in (("minimise", ("--max-evaluations", "5")), ("relax", ("--max-iterations", "3"))):
+        run(command, path, *options, "-o", tmp_path / "out.pdb", "--ligand-out", sdf, "--json", "--force")
+        record = json.loads(capsys.readouterr().out)
+        (made,) = Chem.SDMolSupplier(str(sdf))
+        assert made.GetProp("protochain_status") == record["status"]
+        assert made.GetProp("protochain_residue") == "BME B 1"
+        assert sorted(each.GetSymbol() for each in made.GetAtoms()) == ["C", "C", "O", "S"]
