@@ -4,9 +4,8 @@ import csv
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from time import monotonic
@@ -151,6 +150,7 @@ class _Files:
         self.ensemble, self.table, self.output, self.hydrogens = ensemble, table, trajectory, hydrogens
         self.settings = settings
         self.checkpoint = checkpoint_of(table)
+        self._saved = partial(saving, table, "the frames done before")
         check_writable(table)
         kept = self._kept(resume, force)
         self.counts: Counter[str] = Counter(kept["counts"])
@@ -210,9 +210,6 @@ class _Files:
         self.n_rows += 1
         if monotonic() - self.told > _KEEP_EVERY:
             self.keep()
-
-    def _saved(self) -> AbstractContextManager[None]:
-        return saving(self.table, "the frames done before")
 
     def keep(self) -> None:
         """Write all to the disk, and how far it is."""

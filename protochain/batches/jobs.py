@@ -25,7 +25,7 @@ from protochain.core.checks import (
     several,
 )
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.settings import Setting, setting, settings_of
+from protochain.core.settings import Setting, documented, setting, settings_of
 from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
@@ -42,6 +42,7 @@ from protochain.structure.preparation.read import model_numbers
 _GLOB = frozenset("*?[")
 
 
+@documented()
 @dataclass(frozen=True)
 class BatchSettings(StartSettings, MinimiseSettings):
     """How each structure of a batch is prepared, and what is done to it.
@@ -57,11 +58,6 @@ class BatchSettings(StartSettings, MinimiseSettings):
     tolerance : float, optional
         As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
         starts; by default, that of each.
-    max_evaluations, seed, restraint, max_rmsd, curvature, judge : int, int, str, float, bool, str
-        As in :func:`protochain.minimise`.
-    n_starts, spread : int, float
-        As in :func:`protochain.explore`, which runs each method if there are several starts; its best end is
-        kept.
 
     Raises
     ------

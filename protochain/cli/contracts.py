@@ -8,8 +8,10 @@ from protochain.batches import table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
 from protochain.chains.setup import Setup
+from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
+from protochain.comparison import spread as of_spread
 from protochain.comparison.deviation import DOCKED, RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.work import WITHIN
@@ -39,20 +41,19 @@ _OTHERS = {
     name: kind
     for kind, names in (
         (int, """
-            iteration start overlaps matched_residues aligned_atoms measured_atoms heavy_atoms_added
-            atoms_added clashes contacts domain rotamers_changed rigid_domains hydrogen_bonds_kept
-            hydrogen_bonds_gained hydrogen_bonds_lost salt_bridges_kept salt_bridges_gained
-            salt_bridges_lost runs converged mode side step steps output_frame minimum cluster walker
-            evaluations_of_walker
+            iteration start overlaps heavy_atoms_added atoms_added clashes contacts domain
+            rotamers_changed rigid_domains hydrogen_bonds_kept hydrogen_bonds_gained hydrogen_bonds_lost
+            salt_bridges_kept salt_bridges_gained salt_bridges_lost mode side step steps output_frame
+            minimum cluster walker evaluations_of_walker
             """),
         (float | None, """
-            coverage identity contacts_kept phi psi omega chi1 chi2 chi3 chi4 frequency_per_cm
+            contacts_kept phi psi omega chi1 chi2 chi3 chi4 frequency_per_cm
             eigenvalue_per_ps2 collectivity residual overlap cumulative_overlap log_det_hessian
             ramachandran_percent secondary_structure_kept tm_score_to_start reference_tm_score
-            reference_coverage at evaluations_median total
-            acceptance helix_share helix_share_error exchanges slope slope_error share share_error
+            reference_coverage at total acceptance helix_share helix_share_error exchanges slope
+            slope_error share share_error
             """),
-        (bool, "violation rotamer_outlier pucker_outlier repeats_exactly interrupted"),
+        (bool, "violation rotamer_outlier pucker_outlier interrupted"),
         (list[str], "confidences not_written command inverted"),
         (int | None, "round_trips model"),
         (bool | None, "posebusters_passed"),
@@ -67,7 +68,11 @@ _ENDS = ("start", "end")
 _OF_RELAXING = (*of_relaxing.COLUMNS, *of_relaxing.INTERFACE_COLUMNS)
 _KNOWN: Kinds = {
     **_OTHERS,
-    **{each.key: each.kind for each in (*of_minimising.COLUMNS, *_OF_RELAXING, *of_modes.COLUMNS)},
+    **{
+        each.key: each.kind
+        for columns in (of_minimising.COLUMNS, _OF_RELAXING, of_modes.COLUMNS, of_deviation.COLUMNS)
+        for each in columns
+    },
     **{key: number(each) for key, each in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
@@ -162,10 +167,7 @@ _WORK = _row(
     ["method", "lowest_kj_mol"]
     + [f"{cost}_within_{near:g}_kj_mol" for cost in ("evaluations", "seconds") for near in WITHIN]
 )
-_SPREAD = _row(
-    "method runs repeats_exactly converged energy_lowest_kj_mol energy_median_kj_mol energy_highest_kj_mol "
-    "ca_rmsd_between_angstrom evaluations_median seconds_median"
-)
+_SPREAD = _row(of_spread.COLUMNS)
 _COMPARED = {**_SOLUTION, **_ORIGIN, "output": str | None}
 _COMPARISON = {
     **_row("structure input output seconds_preparation engine_reason system_sha256 judge seed threads"),

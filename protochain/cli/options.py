@@ -44,6 +44,9 @@ _SHOWN_OVERLAPS = 5
 Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
 ]
+Inputs = Annotated[
+    list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
+]
 Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]

@@ -33,9 +33,7 @@ _SHOWN = {
 @options.with_settings(setup="hinges root move rigid_protein engine device terms")
 def score(
     context: typer.Context,
-    inputs: Annotated[
-        list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
-    ],
+    inputs: options.Inputs,
     interface: Annotated[
         list[str] | None,
         typer.Option(

@@ -10,7 +10,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import AsJson, check_outputs, files_of, with_settings
+from protochain.cli.options import AsJson, Inputs, check_outputs, files_of, with_settings
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
@@ -35,9 +35,7 @@ _SHOWN = 10
 )
 def validate(
     context: typer.Context,
-    inputs: Annotated[
-        list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
-    ],
+    inputs: Inputs,
     reference: Annotated[
         Path | None, typer.Option(help="Structure to compare with: lDDT, TM-score and RMSDs to it.")
     ] = None,

@@ -11,6 +11,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import checked, selection
 from protochain.core.errors import ProtochainError, StructureError
+from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
 from protochain.structure.select import select, sides
@@ -38,18 +39,21 @@ class Deviation:
 
     def record(self) -> dict[str, Any]:
         """Flat row, with units in the names."""
-        return {
-            "rmsd_angstrom": self.rmsd,
-            "rmsd_unsuperposed_angstrom": self.rmsd_unsuperposed,
-            "tm_score": self.tm_score if np.isfinite(self.tm_score) else None,
-            "matched_residues": len(self.match.reference),
-            "coverage": self.match.coverage,
-            "identity": self.match.identity,
-            "matched_by": self.match.how,
-            "chain_mapping": self.match.chain_mapping,
-            "aligned_atoms": self.n_aligned,
-            "measured_atoms": self.n_measured,
-        }
+        return record(COLUMNS, self)
+
+
+COLUMNS = (
+    Column("rmsd_angstrom", lambda d: d.rmsd),
+    Column("rmsd_unsuperposed_angstrom", lambda d: d.rmsd_unsuperposed),
+    Column("tm_score", lambda d: d.tm_score, kind=float | None),
+    Column("matched_residues", lambda d: len(d.match.reference), kind=int),
+    Column("coverage", lambda d: d.match.coverage, kind=float | None),
+    Column("identity", lambda d: d.match.identity, kind=float | None),
+    Column("matched_by", lambda d: d.match.how),
+    Column("chain_mapping", lambda d: d.match.chain_mapping),
+    Column("aligned_atoms", lambda d: d.n_aligned, kind=int),
+    Column("measured_atoms", lambda d: d.n_measured, kind=int),
+)
 
 
 @checked(align=selection, measure=selection)
@@ -172,10 +176,7 @@ class RmsdFrames:
     align: str = ALPHA  # align, measure: As in :func:`deviation`.
     measure: str = ALPHA
     name = "rmsd"
-    columns: ClassVar[tuple[str, ...]] = (
-        "rmsd_angstrom", "rmsd_unsuperposed_angstrom", "tm_score", "matched_residues", "coverage", "identity",
-        "matched_by", "chain_mapping", "aligned_atoms", "measured_atoms",
-    )  # fmt: skip
+    columns: ClassVar[tuple[str, ...]] = tuple(each.key for each in COLUMNS)
     at_a_time = 8
 
     def begin(self, structure: Structure, threads: int | None) -> Callable[[Structure], Any]:

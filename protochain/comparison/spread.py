@@ -7,28 +7,40 @@ import numpy as np
 import pandas as pd
 
 from protochain.minimisers import Solution, Status
+from protochain.results.columns import Column
 from protochain.structure import ca_rmsd
-
-
-def spread(runs: Sequence[Solution]) -> dict[str, object]:
-    """Measure the spread of the runs of one method from one start."""
-    first = runs[0]
-    energies = [s.end.energy for s in runs]
-    apart = [ca_rmsd(first.structure, a.x, b.x) for a, b in combinations(runs, 2)]
-    return {
-        "method": first.method,
-        "runs": len(runs),
-        "repeats_exactly": first.recipe.repeats_exactly(first.energy_function),
-        "converged": sum(s.status is Status.CONVERGED for s in runs),
-        "energy_lowest_kj_mol": min(energies),
-        "energy_median_kj_mol": float(np.median(energies)),
-        "energy_highest_kj_mol": max(energies),
-        "ca_rmsd_between_angstrom": max(apart, default=0.0),
-        "evaluations_median": float(np.median([s.n_evaluations for s in runs])),
-        "seconds_median": float(np.median([s.seconds for s in runs])),
-    }
 
 
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
     """Spread of each method, from its solution and its further runs: one row per method."""
-    return pd.DataFrame([spread([s, *(r for r in repeats if r.method == s.method)]) for s in solutions])
+    runs = [[s, *(r for r in repeats if r.method == s.method)] for s in solutions]
+    return pd.DataFrame([{column.key: column.value(each) for column in COLUMNS} for each in runs])
+
+
+def _repeats_exactly(runs: Sequence[Solution]) -> bool:
+    return runs[0].recipe.repeats_exactly(runs[0].energy_function)
+
+
+def _apart(runs: Sequence[Solution]) -> float:
+    """Largest C-alpha RMSD between two ends, angstrom."""
+    pairs = combinations(runs, 2)
+    return max((ca_rmsd(runs[0].structure, a.x, b.x) for a, b in pairs), default=0.0)
+
+
+COLUMNS = (
+    Column("method", lambda runs: runs[0].method),
+    Column("runs", len, kind=int),
+    Column("repeats_exactly", _repeats_exactly, kind=bool),
+    Column("converged", lambda runs: sum(s.status is Status.CONVERGED for s in runs), kind=int),
+    Column("energy_lowest_kj_mol", lambda runs: min(s.end.energy for s in runs)),
+    Column("energy_median_kj_mol", lambda runs: float(np.median([s.end.energy for s in runs]))),
+    Column("energy_highest_kj_mol", lambda runs: max(s.end.energy for s in runs)),
+    Column("ca_rmsd_between_angstrom", _apart),
+    Column(
+        "evaluations_median",
+        lambda runs: float(np.median([s.n_evaluations for s in runs])),
+        kind=float | None,
+    ),
+    Column("seconds_median", lambda runs: float(np.median([s.seconds for s in runs]))),
+)
+"""Of the runs of one method from one start."""

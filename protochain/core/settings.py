@@ -6,7 +6,7 @@ Functions take them by name; commands make their options of them, batches the co
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -77,7 +77,8 @@ def documented(*kinds: type) -> Callable[[Documented], Documented]:
         text = inspect.getdoc(target) or ""  # There is none if Python optimises.
         before, heading, after = text.partition("Parameters\n----------\n")
         own, end, rest = after.partition("\n\n")
-        entries = {each.name: _entry(each) for kind in kinds or (target,) for each in fields(kind)}
+        described: Sequence[Any] = kinds or (target,)
+        entries = {each.name: _entry(each) for kind in described for each in fields(kind) if each.metadata}
         # An entry of the docstring itself may be of several parameters.
         for entry in re.split(r"\n(?=\S)", own):
             entries |= dict.fromkeys(entry.partition(" : ")[0].split(", "), entry)

@@ -113,6 +113,7 @@ class StartSettings(Settings):
         number,
         float,
         read=math.radians,
+        doc="Standard deviation of the perturbation of every hinge, rad.",
     )
 
     def __post_init__(self) -> None:

@@ -7,10 +7,11 @@ import pytest
 from numpydoc.docscrape import FunctionDoc
 
 import protochain as pc
+from protochain.batches import BatchSettings
 from protochain.core.checks import number, text
 from protochain.core.settings import Settings, documented, setting, settings_of
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
-from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
+from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 
 
@@ -55,6 +56,7 @@ def test_entries_follow_the_signature_and_an_entry_of_the_docstring_itself_stays
         (pc.simulate, (SimulationSettings, RunSettings)),
         (pc.minimise, (MinimiseSettings, CheckpointSettings)),
         (pc.search, (SearchSettings, SearchRunSettings)),
+        (BatchSettings, (StartSettings,)),
     ],
 )
 def test_functions_describe_every_setting_by_its_own_words(function, kinds):
