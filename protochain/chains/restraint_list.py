@@ -218,11 +218,11 @@ class Restraints(Value):
             (("centroid-distance",), partial(_centroids, structure.atom_mass)),
             (("dihedral",), _dihedrals), (("position",), partial(_displacements, structure.positions)),
         ):  # fmt: skip
-            own = [row for row, restraint in enumerate(listed) if restraint.kind in kinds]
-            if own:
-                coordinates.append(build([listed[row] for row in own], [groups[row] for row in own]))
+            part = [row for row, restraint in enumerate(listed) if restraint.kind in kinds]
+            if part:
+                coordinates.append(build([listed[row] for row in part], [groups[row] for row in part]))
             # Each atom of a position restraint has a value.
-            rows += [row for row in own for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
+            rows += [row for row in part for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
         return cls(listed, tuple(coordinates), read_only(rows, np.int64))
 
     def values(self, x: Floats) -> Floats:
@@ -326,12 +326,12 @@ def _distances(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]
     pairs, of, weight = list[Any](), list[int](), list[float]()
     for k, (restraint, places) in enumerate(zip(restraints, groups, strict=True)):
         couples = list(zip(places[::2], places[1::2], strict=True))
-        own = np.concatenate(
+        product = np.concatenate(
             [np.stack(np.meshgrid(*c, indexing="ij"), axis=-1).reshape(-1, 2) for c in couples]
         )
-        pairs.append(own)
-        of += [k] * len(own)
-        weight += [1.0 / len(own) if restraint.kind == "mean-distance" else 1.0] * len(own)
+        pairs.append(product)
+        of += [k] * len(product)
+        weight += [1.0 / len(product) if restraint.kind == "mean-distance" else 1.0] * len(product)
     return Distances(read_only(np.concatenate(pairs), np.int64), read_only(of, np.int64), read_only(weight))
 
 
