@@ -30,7 +30,7 @@ VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 
 
 class Coordinates(Protocol):
-    """ViolationsAtEnd coordinates of one kind."""
+    """Restrained coordinates of one kind."""
 
     def values(self, x: Floats) -> Floats:
         """Values (m,) at positions (na, 3), nm or rad."""
@@ -122,23 +122,14 @@ class Displacements(Value):
 
 @dataclass(frozen=True)
 class RestraintValue:
-    """Value of a restraint_values coordinate, and how far it is outside its bounds.
+    """Value of a restrained coordinate, and how far it is outside its bounds."""
 
-    Parameters
-    ----------
-    restraint : str
-        Restraint, as its line.
-    value, bound, violation : float, angstrom or degrees
-        Coordinate, the bound next to it, and how far outside it is; 0 within the bounds.
-    unit : str
-        ``angstrom`` or ``degrees``.
-    """
-
-    restraint: str
+    restraint: str  # Restraint, as its line.
+    # value, bound, violation: Coordinate, the bound next to it, how far outside it is; 0 within the bounds.
     value: float
     bound: float
     violation: float
-    unit: str
+    unit: str  # ``angstrom`` or ``degrees``, of all three.
 
     @property
     def excess(self) -> float:
