@@ -28,10 +28,10 @@ from protochain.structure.select import moving as moving_atoms
 
 def _as_of(build: Callable[..., Chain], source: Any, named: dict[str, Any]) -> Chain:
     """Chain of a source: cut as its own, if it has one, but for what is named."""
-    own: Any = getattr(source, "chain", source)
+    chain: Any = getattr(source, "chain", source)
     brought: dict[str, Any] = moved_of(source)
-    if isinstance(own, Chain):
-        brought |= {"hinges": own.opened, "root": own.root, "hydrogen_mass": own.hydrogen_mass}
+    if isinstance(chain, Chain):
+        brought |= {"hinges": chain.opened, "root": chain.root, "hydrogen_mass": chain.hydrogen_mass}
     return build(source, **(brought | named))
 
 
@@ -104,12 +104,12 @@ def build_chain(
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
     single = {word.replace("@", " ") for word in opened if "@" in word}
-    found = [*find_hinges(structure, [*kinds_asked, *(_SINGLE if single else ())])]
-    if strange := {name.removeprefix("-") for name in single} - {hinge.name for hinge in found}:
+    possible = [*find_hinges(structure, [*kinds_asked, *(_SINGLE if single else ())])]
+    if strange := {name.removeprefix("-") for name in single} - {hinge.name for hinge in possible}:
         raise ChainError(
             f"{structure.name}: there is no hinge {min(strange)!r}; name it as phi@A:3 or chi1@A:3"
         )
-    wanted = [hinge for hinge in found if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
+    wanted = [hinge for hinge in possible if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
     turning, group = turning_hinges(structure, bonds, wanted)
     # A molecule without a backbone or side chain to turn, as ACE-NME, is one free body.
     is_body = not (wanted or structure.mobile.any()) and move == defaults.MOVE
@@ -230,11 +230,7 @@ def _root_atom(structure: Structure, atoms: Integers, moving: np.ndarray, group:
     fixed = atoms[~moving[atoms]]
     if len(fixed):
         return int(fixed[np.argmax(np.bincount(group[fixed])[group[fixed]])])
-    return _middle_atom(structure, atoms)
-
-
-def _middle_atom(structure: Structure, atoms: Integers) -> int:
-    """Return the C-alpha of the molecule's middle residue: a shallow tree accumulates least round-off."""
+    # The C-alpha of the molecule's middle residue: a shallow tree accumulates least round-off.
     present = np.unique(structure.atom_residue[atoms])
     middle = atoms[structure.atom_residue[atoms] == present[len(present) // 2]]
     alpha = middle[structure.atom_name[middle] == "CA"]
@@ -366,7 +362,7 @@ def _inertias(
             holders.setdefault(atom, set()).update((b, body.parent))
     atoms = np.arange(len(x))
     alone = ~np.isin(atoms, list(holders))
-    shares = [(atom, body, 1.0 / len(its)) for atom, its in holders.items() for body in sorted(its)]
+    shares = [(atom, body, 1.0 / len(owners)) for atom, owners in holders.items() for body in sorted(owners)]
     point_atom = np.concatenate([atoms[alone], np.array([a for a, _, _ in shares], dtype=np.int64)])
     point_body = np.concatenate([atom_body[alone], np.array([b for _, b, _ in shares], dtype=np.int64)])
     part = np.concatenate([np.ones(alone.sum()), [share for _, _, share in shares]])

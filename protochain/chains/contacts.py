@@ -88,8 +88,8 @@ def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     pairs, touch, reach = *near_pairs(structure, x, _NEAR), _covalent(structure)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     as_bonded = _is_beside(structure, pairs) & (distance < reach[pairs].sum(axis=1))
-    found = as_bonded | (distance < OVERLAP * touch)
-    return read_only(pairs[found], np.int64), read_only(touch[found])
+    is_overlap = as_bonded | (distance < OVERLAP * touch)
+    return read_only(pairs[is_overlap], np.int64), read_only(touch[is_overlap])
 
 
 def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
@@ -115,7 +115,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     share, beside = distance / touch, _is_beside(structure, pairs)
     groups = chain.rigid_groups if chain is not None and len(pairs) else None
-    found = []
+    listed = []
     for k in np.argsort(share, kind="stable"):
         i, j = (int(atom) for atom in pairs[k])
         if distance[k] < 1e-4:
@@ -124,10 +124,10 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
             remedy = "they are of one rigid body: only cartesian, hybrid or openmm can part them"
         else:
             remedy = "turning bonds can part them: cartesian, hybrid, lbfgs and newton do so first"
-        found.append(
+        listed.append(
             Overlap(
                 structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),
                 float(share[k]), remedy, (i, j), bool(beside[k]),
             )
         )  # fmt: skip
-    return found
+    return listed

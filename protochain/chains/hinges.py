@@ -83,10 +83,10 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
     wanted = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
     index, named = finder(structure, wanted)
     for r in range(structure.n_residues):
-        found = named(r)
+        named_bonds = named(r)
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
-            found += _by_graph(structure, index[r])
-        for kind, label, (a, b, c, d) in found:
+            named_bonds += _by_graph(structure, index[r])
+        for kind, label, (a, b, c, d) in named_bonds:
             if a is None or b is None or c is None or d is None:
                 continue
             is_polar = kind == "rotors" and structure.atom_element[c] != "C"
@@ -159,9 +159,9 @@ def _is_amide(molecule: Molecule, near: Neighbours, b: int, c: int) -> bool:
 
 def _modified(structure: Structure) -> set[int]:
     """Residues of the protein whose side chains are in no table."""
-    own = np.unique(structure.atom_residue[~structure.kept])
+    present = np.unique(structure.atom_residue[~structure.kept])
     known = [*residues.STANDARD, *residues.CAPS]
-    return {*own[~np.isin(structure.residue_name[own], known)].tolist()}
+    return {*present[~np.isin(structure.residue_name[present], known)].tolist()}
 
 
 def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[str, str, list[int | None]]]:
@@ -245,15 +245,15 @@ def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
                 if other not in depth:
                     inward[other], depth[other] = k, depth[one] + 1
                     queue.append(other)
-    found: set[int] = set()
+    closing: set[int] = set()
     for k in {*range(len(ends))} - {*inward.values()}:
-        found.add(k)
+        closing.add(k)
         one, other = ends[k]
         while one != other:
             one, other = (one, other) if depth[one] >= depth[other] else (other, one)
-            found.add(inward[one])
+            closing.add(inward[one])
             one = ends[inward[one]][ends[inward[one]][0] == one]
-    return found
+    return closing
 
 
 def _on_axis(x: Floats, members: Integers, start: int, end: int) -> bool:

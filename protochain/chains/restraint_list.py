@@ -182,23 +182,14 @@ FORMS: tuple[type[Coordinates], ...] = (Distances, Centroids, Dihedrals, Displac
 
 @dataclass(frozen=True)
 class RestraintValue:
-    """Value of a restrained coordinate, and how far it is outside its bounds.
+    """Value of a restrained coordinate, and how far it is outside its bounds."""
 
-    Parameters
-    ----------
-    restraint : str
-        Restraint, as its line.
-    value, bound, violation : float, angstrom or degrees
-        Coordinate, the bound next to it, and how far outside it is; 0 within the bounds.
-    unit : str
-        ``angstrom`` or ``degrees``.
-    """
-
-    restraint: str
+    restraint: str  # Restraint, as its line.
+    # value, bound, violation: Coordinate, the bound next to it, how far outside it is; 0 within the bounds.
     value: float
     bound: float
     violation: float
-    unit: str
+    unit: str  # ``angstrom`` or ``degrees``, of all three.
 
     @property
     def excess(self) -> float:
@@ -274,12 +265,12 @@ class Restraints(Value):
         groups = [_groups(structure, restraint) for restraint in listed]
         coordinates, rows = list[Coordinates](), list[int]()
         for form in FORMS:
-            own = [row for row, restraint in enumerate(listed) if restraint.kind in form.kinds]
-            if own:
-                chosen = [listed[row] for row in own], [groups[row] for row in own]
+            part = [row for row, restraint in enumerate(listed) if restraint.kind in form.kinds]
+            if part:
+                chosen = [listed[row] for row in part], [groups[row] for row in part]
                 coordinates.append(form.of(structure, *chosen))
             # Each atom of a position restraint has a value.
-            rows += [row for row in own for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
+            rows += [row for row in part for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
         return cls(listed, tuple(coordinates), read_only(rows, np.int64))
 
     def values(self, x: Floats) -> Floats:

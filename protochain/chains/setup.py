@@ -203,7 +203,7 @@ class Setup(Settings):
     @property
     def poses(self) -> tuple[str, ...]:
         """Files of poses that are added."""
-        return tuple(given for name, given in self.ligands if not name)
+        return tuple(source for name, source in self.ligands if not name)
 
     def save_ligands(self, result: Any, path: Path) -> None:
         """Write the poses that were added, first; without one, or with ``keep="all"``, all ligands."""

@@ -132,15 +132,15 @@ def assemble(
     gravity: Floats, degrees: bool,
 ) -> Bodies:  # fmt: skip
     """Return the bodies of a tree: ``driven`` has the coordinate and rate of driven hinges at the start."""
-    inward, own = _inward(bodies, hinges), list(hinges)
+    inward, hinge_names = _inward(bodies, hinges), list(hinges)
     bodies, hinges, inward = _with_axes_of_balls(bodies, hinges, inward)
     order = _ordered(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}
-    n, given = len(order), [bodies[name] for name in order]
+    n, listed = len(order), [bodies[name] for name in order]
     parent, kind, pitch, armature = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n), np.zeros(n)
     at, axis, rotation = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile(np.eye(3), (n, 1, 1))
     q, qd = [], []
-    for b, (name, body) in enumerate(zip(order, given, strict=True)):
+    for b, (name, body) in enumerate(zip(order, listed, strict=True)):
         if name not in inward:
             turned = np.eye(3) if body.rotation is None else body.rotation
             q += [*quaternion(turned), *_or_still(body.position)]
@@ -166,19 +166,19 @@ def assemble(
     above = np.where((parent < 0)[:, None, None], np.eye(3), turn[parent]).swapaxes(1, 2)
     offset, placement = np.einsum("bij,bj->bi", above, at), above @ rotation @ turn
     back = turn.swapaxes(1, 2)
-    _refuse_free_needles(order, parent, kind, given)
-    more: dict[str, Any] = {"armature": armature, "nominal": np.array([body.nominal for body in given])}
+    _refuse_free_needles(order, parent, kind, listed)
+    more: dict[str, Any] = {"armature": armature, "nominal": np.array([body.nominal for body in listed])}
     if driven:
         more["driven"] = np.array([inward.get(name) in driven for name in order])
     try:
         tree = Tree(
-            parent, kind, offset, placement, np.array([body.mass for body in given]),
-            np.einsum("bij,bj->bi", back, np.array([body.com for body in given])),
-            back @ np.array([body.inertia for body in given]) @ turn, pitch, **more,
+            parent, kind, offset, placement, np.array([body.mass for body in listed]),
+            np.einsum("bij,bj->bi", back, np.array([body.com for body in listed])),
+            back @ np.array([body.inertia for body in listed]) @ turn, pitch, **more,
         )  # fmt: skip
     except BodyError as error:
         raise error.by_name(order) from None
-    beyond = {name: place[hinges[name].child] for name in own}
+    beyond = {name: place[hinges[name].child] for name in hinge_names}
     return Bodies(
         tree, order, read_only(turn), beyond, read_only(q), read_only(qd), gravity=read_only(gravity),
         degrees=degrees,
@@ -253,9 +253,9 @@ def axes_along(axis: Floats) -> Floats:
     """(n, 3, 3) float: axes, as columns, of which the third are along vectors (n, 3) of length one."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(axis), axis=1)], axis)
     x /= np.linalg.norm(x, axis=1)[:, None]
-    found = np.stack([x, np.cross(axis, x), axis], axis=2)
-    found[np.all(axis == (0.0, 0.0, 1.0), axis=1)] = np.eye(3)
-    return found
+    axes = np.stack([x, np.cross(axis, x), axis], axis=2)
+    axes[np.all(axis == (0.0, 0.0, 1.0), axis=1)] = np.eye(3)
+    return axes
 
 
 def quaternion(rotation: Floats) -> Floats:
@@ -281,13 +281,13 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
                 "bodies form trees: make one of them close()"
             )
         inward[hinge.child] = name
-        own = bodies[hinge.child]
-        strange = next((key for key in _OF_FREE_BODIES if getattr(own, key) is not None), None)
-        strange = "armature" if own.armature else strange
+        child = bodies[hinge.child]
+        strange = next((key for key in _OF_FREE_BODIES if getattr(child, key) is not None), None)
+        strange = "armature" if child.armature else strange
         if strange:
             raise MechanicsError(
                 f'body "{hinge.child}": {strange} is of free bodies only, and hinge "{name}" holds it; '
-                f"give {'that' if own.armature else 'q and qd'} of the hinge"
+                f"give {'that' if child.armature else 'q and qd'} of the hinge"
             )
     return inward
 
@@ -304,8 +304,8 @@ def _ordered(
         name = waiting.pop()
         order.append(name)
         waiting += reversed(children[name])
-    found = set(order)
-    left = [name for name in bodies if name not in found]
+    reached = set(order)
+    left = [name for name in bodies if name not in reached]
     if left:
         raise MechanicsError(
             f'body "{left[0]}" hangs on itself: hinge "{inward[left[0]]}" is part of a loop of hinges; '

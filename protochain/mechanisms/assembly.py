@@ -90,12 +90,12 @@ class Assembly:
     @property
     def works(self) -> tuple[str, ...]:
         """Names of what does work, in the order of ``Phase.work``."""
-        return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
+        return (*(load.name for load in self.loads), *(("drives",) if self.drive is not None else ()))
 
     @property
     def taking(self) -> NDArray[np.bool_]:
         """(k,) bool: which of the works are of dampers and friction, which can but take energy."""
-        kinds = [each.dissipates for each in self.loads]
+        kinds = [load.dissipates for load in self.loads]
         return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
 
     def start(self) -> Phase:

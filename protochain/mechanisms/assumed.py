@@ -76,11 +76,11 @@ def assumed_modes(
     for along, about, sign, count, stiffness in (
         (2, 1, -1.0, flap, of.stiffness("y")), (1, 2, 1.0, lag, of.stiffness("z"))
     ):  # fmt: skip
-        own = slice(start, start + count)
+        columns = slice(start, start + count)
         shape, slope, _ = clamped(x, count)
-        moves[:, along, own], turns[:, about, own] = shape, sign * slope / of.length
-        short[:, 0, own, own] = _shortening(x, count) / of.length
-        stiff[own, own] = np.diag(stiffness / of.length**3 * clamped_roots(count) ** 4)
+        moves[:, along, columns], turns[:, about, columns] = shape, sign * slope / of.length
+        short[:, 0, columns, columns] = _shortening(x, count) / of.length
+        stiff[columns, columns] = np.diag(stiffness / of.length**3 * clamped_roots(count) ** 4)
         start += count
     wave = np.pi * (np.arange(twist) + 0.5)
     turns[:, 0, start:] = np.sin(wave * x[:, None])

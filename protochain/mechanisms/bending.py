@@ -54,20 +54,20 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
             "loads, dampers, friction and events see rigid bodies: leave them out, and give loads of bodies "
             "that bend by dataclasses.replace(system, loads=...)"
         )
-    own: list[Shapes | None] = [None] * tree.n_bodies
-    for name, given in shapes.items():
+    shapes_of: list[Shapes | None] = [None] * tree.n_bodies
+    for name, sections in shapes.items():
         b = bodies.number(name, "bending")
-        if b < 0 or not isinstance(given, Shapes):
+        if b < 0 or not isinstance(sections, Shapes):
             raise MechanicsError(
-                f'bending: "{name}": {shown(given)}: give Shapes of a body, as assumed_modes()'
+                f'bending: "{name}": {shown(sections)}: give Shapes of a body, as assumed_modes()'
             )
-        own[b] = _turned(given, bodies.turn[b].T)
+        shapes_of[b] = _turned(sections, bodies.turn[b].T)
     section = np.full(tree.n_bodies, -1)
     for b, p in enumerate(tree.parent):
-        carrier = own[p] if p >= 0 else None
+        carrier = shapes_of[p] if p >= 0 else None
         if carrier is not None:
             section[b] = np.argmin(np.linalg.norm(carrier.place - tree.offset[b], axis=1))
-    flexible = Flexible(tree, tuple(own), section)
+    flexible = Flexible(tree, tuple(shapes_of), section)
     gravity = [part.acceleration for part in model.conservative if isinstance(part, Gravity)]
     parts = [part for part in model.conservative if not isinstance(part, Gravity)]
     forces = _Forces(model, flexible, sum(gravity, np.zeros(3)), parts)

@@ -179,8 +179,8 @@ class State:
         r, order = qr(joints.matrix(self.bodies.tree, self.frames).T, mode="r", pivoting=True)
         sizes = np.abs(np.diagonal(r))
         counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
-        kept = np.sort(order[: len(sizes)][counts][: joints.rank])
-        return Rows(rows.body[kept], rows.wrench[kept])
+        rank_rows = np.sort(order[: len(sizes)][counts][: joints.rank])
+        return Rows(rows.body[rank_rows], rows.wrench[rank_rows])
 
     def rotation(self, body: str) -> Floats:
         """(3, 3) float: a body's own axes in the world, as columns."""
@@ -206,15 +206,11 @@ class State:
 
     def angle(self, hinge: str) -> Any:
         """Coordinate of a hinge: an angle, or the length of a slide; of a ball a rotation vector (3,)."""
-        place = self.bodies.ball(hinge)
-        found = self.q[place[0] if place else self.bodies.freedom(hinge)[0]] / self.bodies.unit(hinge)
-        return found if place else float(found)
+        return self._of_hinge(hinge, self.q, 0)
 
     def rate(self, hinge: str) -> Any:
         """Rate of a hinge's coordinate; of a ball the relative angular velocity (3,), axes of the child."""
-        place = self.bodies.ball(hinge)
-        found = self.qd[place[1] if place else self.bodies.freedom(hinge)[1]] / self.bodies.unit(hinge)
-        return found if place else float(found)
+        return self._of_hinge(hinge, self.qd, 1)
 
     def jacobian(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
         """(6, n_v) float: J, so that J qd is the velocity of a point of a body, then its angular velocity."""
@@ -231,6 +227,12 @@ class State:
         """(n_v,) float: torques of gravity at the hinges, forces of it at slides and free bodies."""
         return multibody.pull_back(self.bodies.tree, self.frames, self.bodies.weights(self.frames))
 
+    def _of_hinge(self, hinge: str, values: Floats, k: int) -> Any:
+        """Entry of q (k = 0) or qd (k = 1) of a hinge, in its unit outside; of a ball all three."""
+        ball = self.bodies.ball(hinge)
+        value = values[(ball or self.bodies.freedom(hinge))[k]] / self.bodies.unit(hinge)
+        return value if ball else float(value)
+
     def _arm(self, body: str, at: ArrayLike) -> Floats:
         arm = np.asarray(at, dtype=float)
         if arm.shape != (3,):
@@ -241,7 +243,7 @@ class State:
 def _of(numbers: Mapping[str, int], name: str, kind: str, asking: str) -> int:
     if isinstance(name, str) and name in numbers:
         return numbers[name]
-    known = ", ".join(f'"{each}"' for each in list(numbers)[:12]) or "none"
+    known = ", ".join(f'"{known_name}"' for known_name in list(numbers)[:12]) or "none"
     raise MechanicsError(f'{_asked(asking)}there is no {kind} "{name}"; there are {known}')
 
 

@@ -116,10 +116,9 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     if not closings:
         return bodies
     tree = bodies.tree
-    given, q = _given(bodies), bodies.q
-    undriven = np.setdiff1d(np.arange(tree.n_v), tree.driven_v)
+    fixed, q, undriven = _given(bodies), bodies.q, tree.undriven_v
     for approached in _approaches(bodies, closings):
-        parts = [each.bind(bodies) for each in approached]
+        parts = [joint.bind(bodies) for joint in approached]
         of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
         columns: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -127,7 +126,7 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
         }
         joints, nearby = LoopJoints(**columns), replace(bodies, q=q)
         # What was given is kept, unless the loops close with what was not.
-        assembled, worst = _assembled(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(given)))
+        assembled, worst = _assembled(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(fixed)))
         if assembled is None:
             assembled, worst = _assembled(nearby, joints, undriven)
         if assembled is None:
@@ -138,7 +137,7 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
             )
         q = assembled
     joints = replace(joints, rank=_constant_rank(bodies, joints, q, undriven))
-    qd = _rates(bodies, joints, q, undriven, [each.label for each in closings], of)
+    qd = _rates(bodies, joints, q, undriven, [joint.label for joint in closings], of)
     names = tuple(closings[k].name for k in of.tolist())
     return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
 
@@ -147,10 +146,10 @@ def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Cl
     """Yield the closings with their rotations in steps from those as built."""
     # The right angles of a rigid joint hold at other rotations, too, which Newton's method finds from afar.
     turned: dict[str, tuple[Floats, Floats]] = {}
-    for each in closings:
-        if each.rotation is not None:
-            built = bodies.built.rotation(each.a[0]).T @ bodies.built.rotation(each.b[0])
-            turned[each.name] = built, Rotation.from_matrix(built.T @ each.rotation).as_rotvec()
+    for joint in closings:
+        if joint.rotation is not None:
+            built = bodies.built.rotation(joint.a[0]).T @ bodies.built.rotation(joint.b[0])
+            turned[joint.name] = built, Rotation.from_matrix(built.T @ joint.rotation).as_rotvec()
     angles = [float(np.linalg.norm(turn)) for _, turn in turned.values()]
     steps = max(1, int(np.ceil(max(angles, default=0.0) / _TURN)))
     for k in range(1, steps):
@@ -158,7 +157,7 @@ def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Cl
             name: built @ Rotation.from_rotvec(k / steps * turn).as_matrix()
             for name, (built, turn) in turned.items()
         }
-        yield [replace(each, rotation=way.get(each.name)) for each in closings]
+        yield [replace(joint, rotation=way.get(joint.name)) for joint in closings]
     yield [*closings]
 
 
@@ -206,19 +205,20 @@ def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
 
 def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
     """Coordinates near q that close the loops, by hinges that are not driven; None beyond a dead point."""
-    undriven = np.setdiff1d(np.arange(bodies.tree.n_v), bodies.tree.driven_v)
-    return _assembled(replace(bodies, q=q), joints, undriven)[0]
+    return _assembled(replace(bodies, q=q), joints, bodies.tree.undriven_v)[0]
 
 
 def _given(bodies: Bodies) -> np.ndarray:
     """(n_v,) bool: freedoms whose coordinates are not zero, and the places of free bodies."""
     tree = bodies.tree
-    given = np.zeros(tree.n_v, dtype=bool)
+    is_given = np.zeros(tree.n_v, dtype=bool)
     for b in range(tree.n_bodies):
-        own = slice(tree.v_start[b], tree.v_start[b + 1])
-        given[own] = own.stop - own.start == 6 or np.any(bodies.q[tree.q_start[b] : tree.q_start[b + 1]])
-    given[tree.balls] = given[tree.balls[:, :1]]
-    return given
+        span = slice(tree.v_start[b], tree.v_start[b + 1])
+        is_given[span] = span.stop - span.start == 6 or np.any(
+            bodies.q[tree.q_start[b] : tree.q_start[b + 1]]
+        )
+    is_given[tree.balls] = is_given[tree.balls[:, :1]]
+    return is_given
 
 
 def _assembled(

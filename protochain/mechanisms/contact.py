@@ -74,8 +74,8 @@ class Friction:
 
 def _check_numbers(of: Law | Friction, label: str) -> None:
     """Make numbers of the fields."""
-    for each in fields(of):
-        object.__setattr__(of, each.name, number(getattr(of, each.name), f"the {each.name} {label}"))
+    for column in fields(of):
+        object.__setattr__(of, column.name, number(getattr(of, column.name), f"the {column.name} {label}"))
 
 
 def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
@@ -203,21 +203,21 @@ class Contact(Named):
             if not isinstance(getattr(self, name), kind):
                 raise MechanicsError(f"{self.label}: {name} {shown(getattr(self, name))}: give {remedy}")
 
-    def _balls(self, given: Any, name: str) -> tuple[Ball, ...]:
+    def _balls(self, value: Any, name: str) -> tuple[Ball, ...]:
         """Balls, or points."""
-        balls = tuple(given) if isinstance(given, Iterable) else (None,)
+        balls = tuple(value) if isinstance(value, Iterable) else (None,)
         if not all(isinstance(ball, Ball) for ball in balls):
             remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
             also = ", a plane, a surface, or None" if name == "other" else ""
-            raise MechanicsError(f"{self.label}: {name} {shown(given)}: give {remedy}{also}")
+            raise MechanicsError(f"{self.label}: {name} {shown(value)}: give {remedy}{also}")
         return balls
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return the elastic force with its energy, the rest as a load, and the anchors of friction."""
-        found = finder(bodies, self.balls, self.other, self.label)
+        source = finder(bodies, self.balls, self.other, self.label)
         law, rub = self.law, self.friction or Friction(0.0, 0.0)
         constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
-        forces = ContactForces(bodies.tree, found, read_only(constants))
+        forces = ContactForces(bodies.tree, source, read_only(constants))
         loses = law.damping > 0.0 or rub.coefficient > 0.0
         load, memory = Load(forces.resist) if loses else None, forces if forces.must_settle else None
         return Acting(forces, load, dissipates=loses, inside=forces.is_inside, memory=memory)

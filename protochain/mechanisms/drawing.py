@@ -135,7 +135,7 @@ class Drawing(NamedTuple):
 def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
     """Return what there is to draw of rows of a run."""
     model, bodies = run.model, run.model.bodies
-    own = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
+    outlines = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
     origin = np.array([each.origin for each in frames])
     rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
@@ -151,21 +151,21 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
         for each in finders
         if isinstance(each, OnSurface)
     )
-    found = Drawing(bodies.names, own, lines, grounds, meshes, run.time[list(rows)], rotation, origin,
-                    np.zeros(3), np.zeros(3))  # fmt: skip
+    times, corner = run.time[list(rows)], np.zeros(3)
+    picture = Drawing(bodies.names, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
     reached = [origin.reshape(-1, 3)]
-    for shape in own:
+    for shape in outlines:
         points, reach = _outline(shape)
-        b = found.number(shape.body)
+        b = picture.number(shape.body)
         for k in range(len(rows)):
-            at = found.place(k, b, points)
+            at = picture.place(k, b, points)
             reached += [at - reach, at + reach]
     fixed = lines.points[lines.ends < 0]
     reached += [
-        found.place(k, each.body, each.corners).reshape(-1, 3) for each in meshes for k in range(len(rows))
+        picture.place(k, each.body, each.corners).reshape(-1, 3) for each in meshes for k in range(len(rows))
     ]
     everything = np.concatenate([*reached, fixed.reshape(-1, 3)])
-    return found._replace(low=everything.min(axis=0), high=everything.max(axis=0))
+    return picture._replace(low=everything.min(axis=0), high=everything.max(axis=0))
 
 
 def _outline(shape: Shape) -> tuple[Floats, float]:
@@ -225,12 +225,12 @@ def _derived(model: Assembly) -> Iterator[Shape]:
 def _joined(model: Assembly) -> list[list[Floats]]:
     """Points of each body, in its own axes, at which other bodies, loops or springs are joined."""
     tree, bodies = model.tree, model.bodies
-    found: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
+    joints: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
 
     def add(b: int, at: Floats) -> None:
         own = bodies.turn[b] @ at if b >= 0 else at
-        if b >= 0 and not any(np.allclose(own, other, atol=_NEAR * tree.size) for other in found[b]):
-            found[b].append(own)
+        if b >= 0 and not any(np.allclose(own, other, atol=_NEAR * tree.size) for other in joints[b]):
+            joints[b].append(own)
 
     for b in range(tree.n_bodies):
         if tree.kind[b] != HingeKind.FREE:
@@ -244,7 +244,7 @@ def _joined(model: Assembly) -> list[list[Floats]]:
             for pair, points in zip(part.ends, part.points, strict=True):
                 add(int(pair[0]), points[:3])
                 add(int(pair[1]), points[3:])
-    return found
+    return joints
 
 
 def _like(name: str, at: Floats, inertia: Floats) -> Iterator[Shape]:
@@ -263,6 +263,6 @@ def _lines(model: Assembly) -> Lines:
     turn = model.bodies.turn
     ends = np.concatenate([np.empty((0, 2), np.int64), *(part.ends for part in rows)])
     points = np.concatenate([np.empty((0, 6)), *(part.points for part in rows)]).reshape(-1, 2, 3)
-    own = [[turn[b] @ at if b >= 0 else at for b, at in zip(*each, strict=True)]
-           for each in zip(ends, points, strict=True)]  # fmt: skip
-    return Lines(ends, np.array(own, dtype=float).reshape(-1, 2, 3))
+    places = [[turn[b] @ at if b >= 0 else at for b, at in zip(*spring, strict=True)]
+              for spring in zip(ends, points, strict=True)]  # fmt: skip
+    return Lines(ends, np.array(places, dtype=float).reshape(-1, 2, 3))

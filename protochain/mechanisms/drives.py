@@ -31,14 +31,14 @@ class Driven(Named):
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Coordinate, rate and acceleration at a time."""
-        found = answer(f"{self.label}: its motion", self.motion, time)
+        values = answer(f"{self.label}: its motion", self.motion, time)
         try:
-            q, qd, qdd = (float(value) for value in found)
+            q, qd, qdd = (float(value) for value in values)
         except (TypeError, ValueError):
             q = qd = qdd = np.nan
         if not np.isfinite(q + qd + qdd):
             raise MechanicsError(
-                f"{self.label}: at time {time:g} it gives {shown(found)}; "
+                f"{self.label}: at time {time:g} it gives {shown(values)}; "
                 "give coordinate, rate and acceleration, finite"
             )
         return q, qd, qdd
@@ -46,11 +46,11 @@ class Driven(Named):
 
 def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
     """All drives as one, in the order of the tree."""
-    ordered = sorted(drives, key=lambda each: bodies.hinge(each.name))
-    units = np.array([bodies.unit(each.name) for each in ordered])
+    ordered = sorted(drives, key=lambda driven: bodies.hinge(driven.name))
+    units = np.array([bodies.unit(driven.name) for driven in ordered])
 
     def drive(time: float) -> tuple[Floats, Floats, Floats]:
-        q, qd, qdd = np.array([each.at(time) for each in ordered]).T * units
+        q, qd, qdd = np.array([driven.at(time) for driven in ordered]).T * units
         return q, qd, qdd
 
     return drive

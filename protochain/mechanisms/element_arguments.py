@@ -29,10 +29,10 @@ def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
     return array
 
 
-def answer(label: str, function: Callable[..., Any], *given: Any) -> Any:
+def answer(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function of the user's returns; its exceptions name the element."""
     try:
-        return function(*given)
+        return function(*arguments)
     except ProtochainError:
         raise
     except Exception as error:

@@ -68,10 +68,10 @@ class Event(Named):
         """Return it for ``march``; when it happens, it is added to the list."""
 
         def value(at: Phase) -> float:
-            found = float(answer(f"{self.label}: its value", self.value, state_of(at)))
-            if np.isnan(found):
+            number = float(answer(f"{self.label}: its value", self.value, state_of(at)))
+            if np.isnan(number):
                 raise MechanicsError(f"{self.label}: its value is not a number at time {at.time:g}")
-            return found
+            return number
 
         def jump(system: Equations, at: Phase) -> Phase:
             qd = answer(f"{self.label}: its jump", self.jump, state_of(at))

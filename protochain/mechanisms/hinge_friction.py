@@ -100,14 +100,14 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
     """Return the friction of all hinges as one load, in what a mechanism is without it."""
     # Forces that hinges transmit change linearly with the torques of friction, which change with these: a
     # fixed point of as many numbers as there are hinges whose friction depends on forces.
-    pressed = [each for each in hinges if each.arm]
+    pressed = [hinge for hinge in hinges if hinge.arm]
     system, tree = others.system, others.tree
 
     def forces(at: Phase) -> Floats:
         """(k, 3) float: across the axes."""
-        found = transmitted(others, at).hinges[[each.body for each in pressed], 3:]
-        axes = at.factors.frames.rotation[[each.body for each in pressed], :, 2]
-        return np.asarray(found - np.sum(found * axes, axis=1)[:, None] * axes)
+        across = transmitted(others, at).hinges[[hinge.body for hinge in pressed], 3:]
+        axes = at.factors.frames.rotation[[hinge.body for hinge in pressed], :, 2]
+        return np.asarray(across - np.sum(across * axes, axis=1)[:, None] * axes)
 
     def sizes(time: float, q: Floats, qd: Floats) -> Floats:
         """(k,) float: forces across the axes with all friction acting."""
@@ -116,9 +116,9 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
         torque = torque + _torques(hinges, qd, {})
         at = Phase(q, qd, qd, 0.0, torque, factors, time, loads=loads)
         alone, units = forces(at), np.eye(tree.n_v)
-        more = [forces(replace(at, torque=torque + units[each.freedom])) - alone for each in pressed]
+        more = [forces(replace(at, torque=torque + units[hinge.freedom])) - alone for hinge in pressed]
         size = np.linalg.norm(alone, axis=1)
-        slip = np.array([each.against(qd, 1.0) - each.against(qd) for each in pressed])
+        slip = np.array([hinge.against(qd, 1.0) - hinge.against(qd) for hinge in pressed])
         for _ in range(_ITERATIONS):
             before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", more, slip * size), axis=1)
             if np.max(np.abs(size - before)) <= _SAME * np.max(size):
@@ -128,8 +128,8 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
                              "with its friction; give a smaller coefficient or radius")  # fmt: skip
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-        found = sizes(time, q, qd) if pressed else ()
-        by_freedom = {each.freedom: size for each, size in zip(pressed, found, strict=True)}
+        pressing = sizes(time, q, qd) if pressed else ()
+        by_freedom = {hinge.freedom: size for hinge, size in zip(pressed, pressing, strict=True)}
         return Applied(torques=_torques(hinges, qd, by_freedom))
 
     return Load(applied)
@@ -137,6 +137,6 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
 
 def _torques(hinges: Sequence[Rubbing], qd: Floats, forces: Mapping[int, float]) -> Floats:
     out = np.zeros(len(qd))
-    for each in hinges:
-        out[each.freedom] += each.against(qd, forces.get(each.freedom, 0.0))
+    for hinge in hinges:
+        out[hinge.freedom] += hinge.against(qd, forces.get(hinge.freedom, 0.0))
     return out

@@ -94,15 +94,15 @@ def linearise(
     Linear
         Matrices A, B, C, D; state and A as of :func:`state_matrix`. D is not zero for accelerations only.
     """
-    freedoms = [model.bodies.freedom(each, "linearise")[1] for each in inputs]
+    freedoms = [model.bodies.freedom(hinge, "linearise")[1] for hinge in inputs]
     for function in outputs:
         if not callable(function) or n_parameters(function) not in (1, 2):
             raise MechanicsError(f"output {shown(function)}: give a function of the state")
 
     def seen(state: State, qdd: Floats) -> Floats:
         given = (state, qdd)
-        found = [answer("output", each, *given[: n_parameters(each)]) for each in outputs]
-        return np.array([number(each, "output") for each in found])
+        values = [answer("output", output, *given[: n_parameters(output)]) for output in outputs]
+        return np.array([number(value, "output") for value in values])
 
     whole, k = _about(model, at, seen, freedoms)
     return Linear(
@@ -177,8 +177,8 @@ class _Nearby:
         tree, out = self.model.tree, np.zeros_like(self.ways)
         roots = tree.v_start[:-1][tree.kind == HingeKind.FREE]
         for sign, freedoms in ((-1.0, tree.balls), (1.0, roots[:, None] + np.arange(3))):
-            for own in freedoms:
-                out[own] = sign * np.cross(self.at.qd[own], self.ways[own].T).T
+            for triple in freedoms:
+                out[triple] = sign * np.cross(self.at.qd[triple], self.ways[triple].T).T
         return np.asarray(self.back @ out)
 
 
@@ -234,8 +234,8 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     near = _Nearby.of(model, at)
     system, ways, start, k = model.system, near.ways, near.at, near.ways.shape[1]
     if not k or np.any(near.turning):
-        found = np.linalg.eigvals(state_matrix(model, at)).imag
-        return np.sort(found[found > 0.0])
+        imaginary = np.linalg.eigvals(state_matrix(model, at)).imag
+        return np.sort(imaginary[imaginary > 0.0])
     qdd = system.accelerations(start.time, start.q, start.qd, start.torque, start.loads, start.factors)[0]
     mass = ways.T @ multibody.mass_matrix(model.tree, start.factors.frames) @ ways
     stiffness, damping = (
@@ -253,8 +253,8 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     back = factor.T @ np.linalg.inv(stiffness + shift * damping + shift**2 * mass)
     first = back @ solve_triangular(factor, moved.T, lower=True).T
     inverse = np.block([[-first, -back @ root], [across.T, np.zeros((k, k))]])
-    found = (1.0 / np.linalg.eigvals(inverse)).imag
-    return np.sort(found[found > np.sqrt(_RIGID) * shift])
+    imaginary = (1.0 / np.linalg.eigvals(inverse)).imag
+    return np.sort(imaginary[imaginary > np.sqrt(_RIGID) * shift])
 
 
 def _shifted(mass: Floats, damping: Floats, stiffness: Floats) -> tuple[float, Floats]:

@@ -61,8 +61,8 @@ class AppliedForce(Named):
         force, by_force = _of_state(self.force)
         moment, by_moment = _of_state(self.moment)
 
-        def answered(what: str, function: Callable[..., Any], *given: Any) -> Floats:
-            return numbers(answer(f"{label} {what}", function, *given), (3,), f"{label} {what}")
+        def answered(what: str, function: Callable[..., Any], *arguments: Any) -> Floats:
+            return numbers(answer(f"{label} {what}", function, *arguments), (3,), f"{label} {what}")
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             def state() -> State:
@@ -143,7 +143,7 @@ def n_parameters(value: Callable[..., Any]) -> int:
         parameters = inspect.signature(value).parameters.values()
     except (TypeError, ValueError):  # Some callables that are not of Python have no signature.
         return 1
-    kinds = [each.kind for each in parameters if each.default is each.empty]
+    kinds = [parameter.kind for parameter in parameters if parameter.default is parameter.empty]
     if inspect.Parameter.KEYWORD_ONLY in kinds:
         return 0
     if inspect.Parameter.VAR_POSITIONAL in kinds:

@@ -48,8 +48,8 @@ def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism
         self.add(make(*args, **kwargs))
 
     taken = inspect.signature(make)
-    own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    signature = taken.replace(parameters=[own, *taken.parameters.values()], return_annotation=None)
+    first = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    signature = taken.replace(parameters=[first, *taken.parameters.values()], return_annotation=None)
     method.__signature__ = signature  # type: ignore[attr-defined]  # which functions have
     method.__doc__ = "\n\n".join([doc, *(make.__doc__ or "").split("\n\n")[1:]])
     return method

@@ -283,7 +283,7 @@ class _Compiled:
             acts.append(m.tendon_frictionloss[t])
         acts += [self.values("tendon_armature", t), self.by_actuators("actuator_armature", False, t)]
         limited = m.tendon_limited[t] and not self.is_off("LIMIT", "CONSTRAINT")
-        acting = any(np.any(each) for each in acts) or (limited and self.reading.stops)
+        acting = any(np.any(values) for values in acts) or (limited and self.reading.stops)
         into = self.reading.left if acting else self.reading.unused
         into.setdefault("tendons", self.name("tendon", t))
         if limited:

@@ -64,32 +64,32 @@ class _Writing:
         self.elements = {WORLD: SubElement(self.root, "worldbody")}
         self.joints: dict[str, Element] = {}  # Of hinges, and of free bodies, by name.
         self.inward = {hinge.child: hinge for hinge in of.parts(Hinge)}
-        given = _fused({body.name: body for body in of.parts(Body)}, self.inward)
-        carriers = self.carriers(given)
+        bodies = _fused({body.name: body for body in of.parts(Body)}, self.inward)
+        carriers = self.carriers(bodies)
         for name in self.bodies.names:
-            if name in given and name not in carriers:
-                self.write_body(given[name], carriers)
+            if name in bodies and name not in carriers:
+                self.write_body(bodies[name], carriers)
         self.write_the_rest()
 
-    def carriers(self, given: dict[str, Body]) -> set[str]:
+    def carriers(self, bodies: dict[str, Body]) -> set[str]:
         """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
         children = [hinge.parent for hinge in self.of.parts(Hinge)]
         joined = (each for each in self.of.parts(Between) if not self.is_ball(each))
         ends = {end for each in joined for end, _ in (each.a, each.b)}
-        found = {
+        carriers = {
             name
-            for name, body in given.items()
+            for name, body in bodies.items()
             if body.mass == 0.0 and not np.any(body.inertia) and children.count(name) == 1
             and name not in ends and name in self.inward
         }  # fmt: skip
         # The coordinates of a ball are along the axes of its child, which the last body has to share.
         for name in self.bodies.names:
-            if name in given and name not in found:
-                chain = self.chain(name, found)
+            if name in bodies and name not in carriers:
+                chain = self.chain(name, carriers)
                 for each in chain[:-1]:
                     if each.hinge.kind == "ball" and not np.allclose(each.turn, chain[-1].turn, atol=_SAME):
-                        found.discard(each.hinge.child)
-        return found
+                        carriers.discard(each.hinge.child)
+        return carriers
 
     def is_ball(self, of: Between) -> bool:
         """Whether an element is a bushing at a ball."""
@@ -147,12 +147,12 @@ class _Writing:
             Torsion: self.write_torsion, HingeFriction: self.write_friction, Stop: self.write_stop,
             Spring: self.write_spring, Closing: self.write_closing, Bushing: self.write_bushing,
         }  # fmt: skip
-        for each in self.of.parts(Named):
-            if isinstance(each, Body | Hinge):
+        for part in self.of.parts(Named):
+            if isinstance(part, Body | Hinge):
                 continue
-            if type(each) not in writers:
-                raise MechanicsError(f"{each.label}: MJCF does not have it; leave it out")
-            writers[type(each)](each)
+            if type(part) not in writers:
+                raise MechanicsError(f"{part.label}: MJCF does not have it; leave it out")
+            writers[type(part)](part)
 
     def set_of(self, label: str, joint: str, **values: float) -> None:
         """Set what an element gives to its joint, which nothing else may have set."""
@@ -238,14 +238,14 @@ class _Writing:
 
     def group(self, tag: str) -> Element:
         """Element of the root for tendons, or for equalities."""
-        found = self.root.find(tag)
-        return SubElement(self.root, tag) if found is None else found
+        element = self.root.find(tag)
+        return SubElement(self.root, tag) if element is None else element
 
 
-def _fused(given: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
+def _fused(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
     """Bodies of which those with an inertia that no body has are one with what they are fixed to."""
-    out = dict(given)
-    for body in given.values():
+    out = dict(bodies)
+    for body in bodies.values():
         if not out[body.name].nominal:
             continue
         first = body.name

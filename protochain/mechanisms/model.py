@@ -110,8 +110,8 @@ class Model(Assembly):
         chosen = RungeKutta4() if integrator is None else integrator
         # Of a Protocol there are no instances, but of a class that derives from it.
         if Integrator not in type(chosen).__mro__:
-            given = f"{chosen.__name__}, a class" if isinstance(chosen, type) else shown(chosen)
-            raise MechanicsError(f"integrator {given}: give one, as RungeKutta4() or DormandPrince(1e-9)")
+            label = f"{chosen.__name__}, a class" if isinstance(chosen, type) else shown(chosen)
+            raise MechanicsError(f"integrator {label}: give one, as RungeKutta4() or DormandPrince(1e-9)")
         if not start.is_finite:
             raise MechanicsError(
                 "at the start energy or forces are no numbers; see functions of loads and forces"
@@ -149,21 +149,21 @@ def model_of(
             raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = part
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
-    damped = joined(each.damping for each in acting.values() if each.damping)
+    damped = joined(act.damping for act in acting.values() if act.damping)
     loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
     loads += [
-        NamedLoad(name, each.load, each.dissipates, each.hinges) for name, each in acting.items() if each.load
+        NamedLoad(name, act.load, act.dissipates, act.hinges) for name, act in acting.items() if act.load
     ]
     held = np.any((tree.parent < 0) & ((tree.kind != HingeKind.FREE) | (tree.bodies[:, ARMATURE] > 0.0)))
     on_world = bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
     model = Model(
         bodies, bodies.q, bodies.qd,
-        (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
+        (*weight, *joined(act.conservative for act in acting.values() if act.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
-        not weight and not held and not on_world and all(each.inside for each in acting.values()),
-        tuple(each.memory for each in acting.values() if each.memory),
+        not weight and not held and not on_world and all(act.inside for act in acting.values()),
+        tuple(act.memory for act in acting.values() if act.memory),
     )  # fmt: skip
-    rubbing = [each.friction for each in acting.values() if each.friction]
+    rubbing = [act.friction for act in acting.values() if act.friction]
     if not rubbing:
         return model
     rubs = NamedLoad("hinge friction", friction(model, rubbing), dissipates=True)

@@ -81,15 +81,15 @@ class Motor(Named):
         units = np.array([bodies.unit(name) for name in names])
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-            wanted, rate, quickening = units * np.array([each.at(time) for each in self.follow.values()]).T
-            found = self.stiffness * (wanted - q[places]) + self.damping * (rate - qd[freedoms])
+            wanted, rate, quickening = units * np.array([drive.at(time) for drive in self.follow.values()]).T
+            torque = self.stiffness * (wanted - q[places]) + self.damping * (rate - qd[freedoms])
             if self.feed_forward:
                 there, moving, qdd = q.copy(), qd.copy(), np.zeros(tree.n_v)
                 there[places], moving[freedoms], qdd[freedoms] = wanted, rate, quickening
                 weight = bodies.weights(multibody.pose(tree, there))
-                found = found + multibody.inverse_dynamics(tree, there, moving, qdd, weight)[freedoms]
+                torque = torque + multibody.inverse_dynamics(tree, there, moving, qdd, weight)[freedoms]
             torques = np.zeros(tree.n_v)
-            torques[freedoms] = np.clip(found, -self.limit, self.limit)
+            torques[freedoms] = np.clip(torque, -self.limit, self.limit)
             return Applied(torques=torques)
 
         return Acting(load=Load(applied), inside=True, hinges=names)

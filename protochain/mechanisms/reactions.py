@@ -33,19 +33,19 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
     # parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
     tree, system, frames = model.tree, model.system, at.factors.frames
     qdd, _ = system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
-    given, unread = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)
+    applied, unread = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)
     for part in model.conservative:
-        part.add(at.q, frames, given, unread)
+        part.add(at.q, frames, applied, unread)
     for each in model.loads:
         wrenches = each.load.applied(at.time, at.q, at.qd, frames).wrenches
-        given += 0.0 if wrenches is None else wrenches
+        applied += 0.0 if wrenches is None else wrenches
     impulses, joints = np.zeros(0), model.bodies.joints
     if joints is not None:
         free = system.forward_dynamics(at.q, at.qd, _given(model, at))
         loops = factor_loops(at.factors, joints)
         impulses = loops.impulses(-joints.accelerations(tree, frames, at.qd, free))
-        given += loops.wrenches(impulses)
-    passed = inertial_loads(tree, frames, at.qd, qdd) - given
+        applied += loops.wrenches(impulses)
+    passed = inertial_loads(tree, frames, at.qd, qdd) - applied
     for b in range(tree.n_bodies - 1, -1, -1):
         p = int(tree.parent[b])
         if p >= 0:
@@ -57,10 +57,10 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
 
 def _given(model: Assembly, at: Phase) -> Floats:
     """Torques, and in their place the accelerations of driven hinges, as forward dynamics takes them."""
-    given = at.torque.copy()
+    prescribed = at.torque.copy()
     if model.drive is not None:
-        given[model.tree.driven_v] = model.drive(at.time)[2]
-    return given
+        prescribed[model.tree.driven_v] = model.drive(at.time)[2]
+    return prescribed
 
 
 def phases(run: Motion) -> Iterator[Phase]:
@@ -68,8 +68,8 @@ def phases(run: Motion) -> Iterator[Phase]:
     memories = run.model.memories
     try:
         for k, (time, q, qd) in enumerate(zip(run.time, run.q, run.qd, strict=True)):
-            for memory, kept in zip(memories, run.kept[k] if memories else (), strict=True):
-                memory.recall(kept)
+            for memory, state in zip(memories, run.kept[k] if memories else (), strict=True):
+                memory.recall(state)
             yield run.model.system.at(q, qd, float(time))
     finally:
         for memory in memories:
@@ -81,22 +81,22 @@ def reactions(run: Motion, name: str) -> "pd.DataFrame":
     import pandas as pd
 
     model, bodies = run.model, run.model.bodies
-    rows = [k for k, each in enumerate(bodies.joint_names) if each == name]
+    rows = [k for k, joint in enumerate(bodies.joint_names) if joint == name]
     if not rows:
         b = bodies.hinge(name, "reactions")
-        found = [transmitted(model, at).hinges[b] for at in phases(run)]
+        wrenches = [transmitted(model, at).hinges[b] for at in phases(run)]
     else:
         assert bodies.joints is not None
-        found = [_of_joint(transmitted(model, at), model, rows) for at in phases(run)]
-    wrench = np.array(found)
+        wrenches = [_of_joint(transmitted(model, at), model, rows) for at in phases(run)]
+    wrench = np.array(wrenches)
     columns = {f"force {axis}": wrench[:, 3 + k] for k, axis in enumerate(_AXES)}
     columns |= {f"moment {axis}": wrench[:, k] for k, axis in enumerate(_AXES)}
     return pd.DataFrame({"time": run.time, **columns})
 
 
-def _of_joint(found: Transmitted, model: Assembly, rows: list[int]) -> Floats:
+def _of_joint(moment: Transmitted, model: Assembly, rows: list[int]) -> Floats:
     """(6,) float: moment about the joint's point of the second body, and force on that."""
-    joints, frames = model.bodies.joints, found.at.factors.frames
+    joints, frames = model.bodies.joints, moment.at.factors.frames
     assert joints is not None
     b = int(joints.body[rows[0], 1])
     point = joints.point[rows[0], 1]
@@ -104,7 +104,7 @@ def _of_joint(found: Transmitted, model: Assembly, rows: list[int]) -> Floats:
     # What acts on the world is against what acts on the first body.
     side, sign = (1, 1.0) if b >= 0 else (0, -1.0)
     a = int(joints.body[rows[0], side])
-    wrench = sign * np.einsum("m,mi->i", found.joints[rows], joints.rows(frames)[1].wrench[rows, side])
+    wrench = sign * np.einsum("m,mi->i", moment.joints[rows], joints.rows(frames)[1].wrench[rows, side])
     wrench[:3] += np.cross(frames.origin[a] - place, wrench[3:])
     return np.asarray(wrench)
 
@@ -115,7 +115,7 @@ def motion(run: Motion) -> "pd.DataFrame":
 
     model, tree = run.model, run.model.tree
     columns, bodies = {"time": run.time}, model.bodies
-    motors = [k for k, each in enumerate(model.loads) if each.hinges]
+    motors = [k for k, load in enumerate(model.loads) if load.hinges]
     driving = torque = np.empty(0)
     if motors or model.drive is not None:
         loads = np.array([at.loads for at in phases(run)])

@@ -124,12 +124,12 @@ def _origin(reading: Reading, origin: Element | None) -> tuple[Floats, Floats]:
 def _floats(reading: Reading, of: Element | None, key: str, default: tuple[float, ...]) -> Floats:
     text = None if of is None else of.get(key)
     try:
-        found = np.array(default if text is None else text.split(), dtype=float)
+        values = np.array(default if text is None else text.split(), dtype=float)
     except ValueError:
-        found = np.array([np.nan])
-    if found.shape != (len(default),) or not np.all(np.isfinite(found)):
+        values = np.array([np.nan])
+    if values.shape != (len(default),) or not np.all(np.isfinite(values)):
         raise reading.refuse(f"{key} {shown(text)} of an {of.tag if of is not None else ''}: give numbers")
-    return found
+    return values
 
 
 def _number(reading: Reading, of: Element | None, key: str) -> float:
@@ -137,10 +137,10 @@ def _number(reading: Reading, of: Element | None, key: str) -> float:
 
 
 def _of(reading: Reading, joint: Element, end: str) -> str:
-    found = joint.find(end)
-    if found is None or not found.get("link"):
+    link = joint.find(end)
+    if link is None or not link.get("link"):
         raise reading.refuse(f'joint "{joint.get("name")}": it has no {end}; name a link')
-    return str(found.get("link"))
+    return str(link.get("link"))
 
 
 def is_text(source: Any) -> bool:

@@ -186,7 +186,7 @@ class Run(Motion):
         scale = self.in_motion if self.in_motion > ROUNDED * self.held else self.held
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
         loops = self._opened() if self.model.bodies.joints is not None else (None, None)
-        strikes = {each.name for each in self.model.events if not each.passes}
+        strikes = {watched.name for watched in self.model.events if not watched.passes}
         if not self.model.inside or any(event.name in strikes for event in self.events):
             return Audit(energy, None, None, *loops)
         whole, sizes = self._momenta

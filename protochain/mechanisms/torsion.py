@@ -51,8 +51,8 @@ class Torsion(Named):
         """Return its torques."""
         place, freedom = bodies.freedom(self.hinge, self.label)
         rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
-        places = (read_only([k], np.int64) for k in (place, freedom))
-        row = Torsions(*places, read_only([(self.stiffness, rest, self.damping)]))
+        values = read_only([(self.stiffness, rest, self.damping)])
+        row = Torsions(read_only([place], np.int64), read_only([freedom], np.int64), values)
         return Acting(row if self.stiffness else None, damping=row if self.damping else None, inside=True)
 
 

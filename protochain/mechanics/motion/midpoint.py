@@ -103,7 +103,7 @@ def _root(function: Callable[[Floats], Floats], guess: Floats, tolerance: float,
     """Where a function (n,) of (n,) is zero, by Newton-Krylov iteration."""
     find: Any = newton_krylov
     identity = LinearOperator((len(guess), len(guess)), matvec=lambda x: x)
-    found: Floats = find(
+    root: Floats = find(
         function, guess, f_tol=tolerance, maxiter=iterations, inner_M=identity, method="gmres"
     )
-    return found
+    return root

@@ -194,9 +194,9 @@ class Integrator(Protocol):
         refuse_departure(system, self.step(system, after, -time_step).q, before.q)
 
 
-def refuse_departure(system: "Equations", found: Floats, wanted: Floats) -> None:
+def refuse_departure(system: "Equations", q: Floats, wanted: Floats) -> None:
     """Raise if a step back has found other coordinates than those where the step began."""
-    if not np.max(np.abs(found - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
+    if not np.max(np.abs(q - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
         raise StepTooLargeError("the time step cannot be taken back")
 
 
@@ -286,9 +286,9 @@ class Equations:
         """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
         if self.drive is None:
             return self.held(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
-        driven, given, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
-        given[driven] = self._drive(time)[2]
-        qdd, holding = self.held(qd, self.forward_dynamics(q, qd, given), factors)
+        driven, prescribed, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
+        prescribed[driven] = self._drive(time)[2]
+        qdd, holding = self.held(qd, self.forward_dynamics(q, qd, prescribed), factors)
         driving[driven] = (self.inverse_dynamics(q, qd, qdd) - torque - holding)[driven]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
 
@@ -320,7 +320,7 @@ class Equations:
     def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
         assert self.drive is not None
         k = len(self.tree.driven_v)
-        q, qd, qdd = (np.asarray(each, dtype=float) for each in self.drive(time))
+        q, qd, qdd = (np.asarray(values, dtype=float) for values in self.drive(time))
         if not (q.shape == qd.shape == qdd.shape == (k,)):
             raise MechanicsError(
                 f"the drive of {k} hinges gives shapes {q.shape}, {qd.shape} and {qdd.shape}, not ({k},)"
@@ -442,8 +442,8 @@ def total(parts: list[Potential]) -> Potential:
     """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
-        each = [part(q, factors) for part in parts]
-        return sum(value for value, _ in each), np.sum([torque for _, torque in each], axis=0)
+        pairs = [part(q, factors) for part in parts]
+        return sum(value for value, _ in pairs), np.sum([torque for _, torque in pairs], axis=0)
 
     return potential
 

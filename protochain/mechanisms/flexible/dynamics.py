@@ -64,9 +64,9 @@ def forward_dynamics(
     """Accelerations, which solve M qdd + c(q, qd) = tau + J^T wrench."""
     # qd, tau (n_v,), wrench (nn, 6) -> (n_v,): Accelerations; those of driven hinges as given. O of the sum
     # of cubes of the numbers of shapes.
-    bent, given, driven = bend(flexible, q), np.zeros(flexible.n_v), flexible.tree.driven_v
-    given[driven] = tau[driven]
-    return solve(flexible, bent, tau - _torques(flexible, bent, q, qd, given, wrench)) + given
+    bent, prescribed, driven = bend(flexible, q), np.zeros(flexible.n_v), flexible.tree.driven_v
+    prescribed[driven] = tau[driven]
+    return solve(flexible, bent, tau - _torques(flexible, bent, q, qd, prescribed, wrench)) + prescribed
 
 
 def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
@@ -110,8 +110,8 @@ def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
 def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
     """(nn, 6) float: each node's angular momentum about its place, and linear momentum."""
     turn, of = bent.rotation, flexible.sections
-    own = (twists[:, None, :3] @ turn) @ of.inertia @ turn.swapaxes(1, 2)
-    return np.concatenate([own[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
+    angular = (twists[:, None, :3] @ turn) @ of.inertia @ turn.swapaxes(1, 2)
+    return np.concatenate([angular[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
 
 
 def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:

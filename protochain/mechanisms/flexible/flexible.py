@@ -121,9 +121,9 @@ class Flexible(Value):
     def sections(self) -> Shapes:
         """All nodes, with as many shapes as the body of most has; the stiffness is that of no body."""
         most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
-        each = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
+        nodes = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
         place, mass, inertia, moves, turns, shortening = (
-            np.concatenate(part) for part in zip(*each, strict=True)
+            np.concatenate(part) for part in zip(*nodes, strict=True)
         )
         return Shapes(place, mass, inertia, moves, turns, shortening, np.zeros((most, most)))
 
@@ -227,8 +227,8 @@ def elastic(flexible: Flexible, q: Floats) -> tuple[float, Floats]:
     rigid = flexible.tree.n_q
     eta = np.append(q[rigid:], 0.0)[place]
     pull = np.einsum("bkl,bl->bk", stiffness, eta)
-    torque, own = np.zeros(flexible.n_v), place >= 0
-    torque[flexible.tree.n_v + place[own]] = -pull[own]
+    torque, is_used = np.zeros(flexible.n_v), place >= 0
+    torque[flexible.tree.n_v + place[is_used]] = -pull[is_used]
     return 0.5 * float(np.vdot(pull, eta)), torque
 
 

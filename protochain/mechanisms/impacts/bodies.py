@@ -83,22 +83,22 @@ class Bending(Value):
 
     def inverse(self, rows: Rows) -> Floats:
         """(m, m) float: O(n m)."""
-        found = np.empty((len(rows.body), len(rows.body)))
+        inverse = np.empty((len(rows.body), len(rows.body)))
         for i, (bodies, wrenches) in enumerate(zip(rows.body, rows.wrench, strict=True)):
             load = np.zeros((len(self.origin), 6))
             on = bodies >= 0
             np.add.at(load, bodies[on], wrenches[on])
-            found[:, i] = row_speeds(self, rows, self.change(load))
-        return found
+            inverse[:, i] = row_speeds(self, rows, self.change(load))
+        return inverse
 
 
 Bodies = RigidBodies | Bending
 """Bodies at one pose; those that bend count node by node."""
 
 
-def bodies_of(given: Articulated | Bending) -> Bodies:
+def bodies_of(factors: Articulated | Bending) -> Bodies:
     """Bodies, of what an impact is given."""
-    return given if isinstance(given, Bending) else RigidBodies(given)
+    return factors if isinstance(factors, Bending) else RigidBodies(factors)
 
 
 def twists_of(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:

@@ -33,16 +33,16 @@ def checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
     """Body -> world point and impulse, of n bodies; refused as by :func:`strike`."""
     if not isinstance(external, Mapping):
         raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")
-    found = {}
-    for body, given in external.items():
+    impulses = {}
+    for body, blow in external.items():
         if isinstance(body, bool) or not isinstance(body, int | np.integer) or not 0 <= body < n:
             raise MechanicsError(f"external: there is no body {shown(body)}; give a number from 0 to {n - 1}")
         said = f"external, body {body}"
-        if not (isinstance(given, tuple | list | np.ndarray) and len(given) == 2):
+        if not (isinstance(blow, tuple | list | np.ndarray) and len(blow) == 2):
             raise MechanicsError(f"{said}: give a pair, (point, impulse)")
-        pair = floats(given[0], (3,), f"{said}: point"), floats(given[1], (3,), f"{said}: impulse")
+        pair = floats(blow[0], (3,), f"{said}: point"), floats(blow[1], (3,), f"{said}: impulse")
         for what, values in zip(("point", "impulse"), pair, strict=True):
             if not np.isfinite(values).all():
                 raise MechanicsError(f"{said}: its {what} is not finite", fault=Fault.NOT_FINITE)
-        found[int(body)] = pair
-    return found
+        impulses[int(body)] = pair
+    return impulses
