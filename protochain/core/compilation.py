@@ -70,16 +70,9 @@ _SETTINGS.reload_config()
 _SETTINGS.SLP_VECTORIZE = 1
 if _SETTINGS.DISABLE_JIT:
     raise ProtochainError("NUMBA_DISABLE_JIT is set, and kernels run compiled alone; unset it")
-
-
-def _wide() -> None:
-    """Use vectors of eight doubles where LLVM prefers four: 1.3 to 1.5 times faster; NUMBA_CPU_... decide."""
-    features = get_host_cpu_features()
-    if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in features:
-        _SETTINGS.CPU_FEATURES = features + ",-prefer-256-bit"
-
-
-_wide()
+# Vectors of eight doubles are 1.3 to 1.5 times faster than the four that LLVM prefers. NUMBA_CPU_... decide.
+if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in get_host_cpu_features():
+    _SETTINGS.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
 
 PATIENCE = 120.0
 """s. Longest wait for a kernel that another process compiles; then it is compiled here too."""
