@@ -15,20 +15,13 @@ from protochain.chains.contacts import near_pairs, overlaps
 from protochain.core.arrays import Floats, read_only
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy
+from protochain.minimisers import restraints
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.metrics import NEAR_REFRESH, Solve
 from protochain.minimisers.problem import Evaluation, Force, Placement, Space
-from protochain.minimisers.restraints import (
-    SOFT_SHARE,
-    SOFT_STIFFNESS,
-    SOFT_TETHER,
-    Bound,
-    SoftRepulsion,
-    Sum,
-    Tethers,
-)
+from protochain.minimisers.restraints import Bound, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.spring_model import Springs
 from protochain.minimisers.stages import Stage
@@ -88,8 +81,8 @@ class TetheredModel:
 
 
 def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
-    pairs, _ = near_pairs(structure, x, SOFT_SHARE, max(bonds, 3))
-    return Springs(pairs, np.full(len(pairs), SOFT_STIFFNESS))
+    pairs, _ = near_pairs(structure, x, restraints.SOFT_SHARE, max(bonds, 3))
+    return Springs(pairs, np.full(len(pairs), restraints.SOFT_STIFFNESS))
 
 
 def resolving_in_torsions(
@@ -151,7 +144,7 @@ def of_backbone(structure: Structure) -> NDArray[np.bool_]:
 
 def soft_tethers(structure: Structure) -> Floats:
     """(na,) float, kJ/mol/nm^2: tethers while overlaps are parted."""
-    return read_only(np.where(of_backbone(structure), FIRM, SOFT_TETHER))
+    return read_only(np.where(of_backbone(structure), FIRM, restraints.SOFT_TETHER))
 
 
 def _leashes(structure: Structure) -> list[Force]:

@@ -134,7 +134,7 @@ def _near(terms: Terms) -> NearTerms:
 
 
 def _joined(*some: Bonded) -> Bonded:
-    atoms, parameters = zip(*((each.atoms, each.parameters) for each in some), strict=True)
+    atoms, parameters = zip(*((term.atoms, term.parameters) for term in some), strict=True)
     return Bonded(np.concatenate(atoms), np.concatenate(parameters))
 
 
@@ -148,10 +148,10 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
     # A dihedral read backwards is the same.
     backwards = atoms[:, 0] > atoms[:, 3]
     atoms[backwards] = atoms[backwards, ::-1]
-    each, which = np.unique(atoms, axis=0, return_inverse=True)
+    unique, which = np.unique(atoms, axis=0, return_inverse=True)
     which = which.reshape(-1)
     order = np.argsort(which, kind="stable")
-    return each, waves[order], np.searchsorted(which[order], np.arange(len(each) + 1))
+    return unique, waves[order], np.searchsorted(which[order], np.arange(len(unique) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +226,10 @@ def near_solver(
     """Solver for the model of the Hessian in Cartesian coordinates."""
     # x (na, 3) nm, moving (na,) bool, tether (na,).
     if near is None:
-        at = curvature(terms, x, free_wells(terms, x, moving))
+        wells = free_wells(terms, x, moving)
     else:
-        at = curvature(terms, x, (near.pairs, near.stiffness, np.zeros(len(near.pairs))))
-    return _solver(at, moving, FLOOR if tether is None else (FLOOR + tether)[:, None])
+        wells = near.pairs, near.stiffness, np.zeros(len(near.pairs))
+    return _solver(curvature(terms, x, wells), moving, FLOOR if tether is None else (FLOOR + tether)[:, None])
 
 
 def soft_solver(

@@ -173,13 +173,7 @@ class Recipe:
         return not self.draws_random and sums_in_order and energy.device == "cpu"
 
     def check(self, energy: Energy) -> None:
-        """Refuse an energy that the method cannot use.
-
-        Raises
-        ------
-        ProtochainError
-            Naming the method.
-        """
+        """Raise a ProtochainError for an energy that the method cannot use."""
         if self.by_openmm and energy.system is None:
             raise ProtochainError(
                 f"method {self.name!r} needs an OpenMM System, and a callable has none; choose another"
@@ -219,12 +213,12 @@ class Recipe:
         elif parts:
             plan += resolving_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
         for run in self.runs:
-            space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
+            space, run_energy = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.by_springs if terms is None and run.by_springs else run.method
             if hasattr(method, "seed") and hasattr(method, "__dataclass_fields__"):
                 method = replace(method, seed=seed)
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
-                stages = replace(run, method=method).stages(space, own, tolerance, restraint)
+                stages = replace(run, method=method).stages(space, run_energy, tolerance, restraint)
                 if parts and run.in_torsions:
                     whole = None if self.keeps_geometry else energy
                     stages = [once_ordinary(stage, whole) for stage in stages]
@@ -290,7 +284,7 @@ _TABLE = (
     Recipe("openmm-md", by_openmm=True, draws_random=True),
 )
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
-    {each.name: replace(each, typical=_TYPICAL.get(each.name, each.typical)) for each in _TABLE}
+    {recipe.name: replace(recipe, typical=_TYPICAL.get(recipe.name, recipe.typical)) for recipe in _TABLE}
 )
 """``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's minimiser and
 ``openmm-md`` its constrained dynamics between two minimisations; all others turn hinges."""
@@ -331,7 +325,7 @@ def at_angle(recipe: Recipe, angle: float) -> Recipe:
     if not 0.0 < number(angle, "angle") <= np.pi:
         raise refused("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
-        known = ", ".join(name for name, each in RECIPES.items() if _has_angle(each))
+        known = ", ".join(name for name, other in RECIPES.items() if _has_angle(other))
         raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {known}")
     (run,) = recipe.runs
     method: Any = run.method
@@ -375,10 +369,10 @@ def recipe_of(method: Any) -> Recipe:
             )
         module, _, name = method.partition(":")
         try:
-            found = getattr(import_module(module), name)
+            imported = getattr(import_module(module), name)
         except (ImportError, AttributeError, ValueError) as error:
             raise ProtochainError(f"method {method!r} cannot be imported: {error}") from None
-        return recipe_of(found() if isinstance(found, type) else found)
+        return recipe_of(imported() if isinstance(imported, type) else imported)
     refuse_class(method, "method")
     if callable(getattr(method, "step", None)) and "direction" in signature(method.step).parameters:
         raise ProtochainError(

@@ -10,17 +10,8 @@ from protochain.chains.restraint_list import RestraintValue
 from protochain.core import defaults
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status
-from protochain.results.columns import (
-    Column,
-    largest,
-    of_energy,
-    of_losses,
-    of_measures,
-    of_remains,
-    of_restraints,
-    of_structure,
-    of_terms,
-)
+from protochain.results import columns
+from protochain.results.columns import Column, largest
 from protochain.validation.findings import MEASURES, REMAINS
 
 
@@ -51,19 +42,19 @@ COLUMNS = (
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     *LIGANDS,
     Column("frame", lambda s: str(s.frame)),
-    *of_terms(TERMS),
-    *of_measures(MEASURES, "start", "end"),
-    *of_remains(REMAINS),
-    *of_restraints(RestraintValue),
+    *columns.of_terms(TERMS),
+    *columns.of_measures(MEASURES, "start", "end"),
+    *columns.of_remains(REMAINS),
+    *columns.of_restraints(RestraintValue),
     Column("iterations", lambda s: s.n_iterations, kind=int),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals", kind=int),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),
     Column("timings", lambda s: dict(s.timings), kind=dict[str, float | None]),
-    *of_structure(_structure),
+    *columns.of_structure(_structure),
     Column("n_bodies", lambda s: s.chain.n_bodies),
     Column("n_hinges", lambda s: s.chain.n_hinges),
     Column("n_atoms_moving", lambda s: _n_moving(s)),
-    *of_energy(),
+    *columns.of_energy(),
     Column("hinges", lambda s: s.chain.opened),
     Column("root", lambda s: s.chain.root),
     Column("tolerance", lambda s: s.tolerance, kind=float | None),
@@ -73,7 +64,7 @@ COLUMNS = (
     Column("max_rmsd_angstrom", lambda s: s.hold.max_rmsd),
     Column("left_out", lambda s: dict(s.chain.structure.left_out), kind=dict[str, int]),
     Column("constant_terms", lambda s: dict(s.constant_terms), kind=dict[str, int]),
-    *of_losses(_structure),
+    *columns.of_losses(_structure),
     Column("seed", lambda s: s.seed, kind=int),
     Column("threads", lambda s: s.energy_function.threads, kind=int | None),
 )

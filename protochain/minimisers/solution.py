@@ -107,7 +107,7 @@ class Recorder:
             self.frames[row] = self.frame(x).astype(np.float32)
         if len(self.frames) > N_FRAMES:
             self.every *= 2
-            self.frames = {k: kept for k, kept in self.frames.items() if k % self.every == 0}
+            self.frames = {k: positions for k, positions in self.frames.items() if k % self.every == 0}
 
     def kept(self) -> dict[int, NDArray[np.float32]]:
         """Positions by their row of the trace, the last among them."""

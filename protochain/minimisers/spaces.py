@@ -70,13 +70,8 @@ class Torsions:
         return scale
 
     def start(self, x: Floats) -> Floats:
-        """Coordinates of the chain's own positions.
-
-        Raises
-        ------
-        ValueError
-            If x differs from them: its bond lengths and angles may not fit the chain.
-        """
+        """Coordinates of the chain's own positions; a ValueError if x differs from them."""
+        # Its bond lengths and angles may not fit the chain.
         if not np.array_equal(x, self.chain.structure.positions):
             raise ValueError("a chain starts at its own positions")
         return self.chain.q0
@@ -126,9 +121,9 @@ class Torsions:
         if self.terms is None or near_by is not None:
             near = near_by or spring_model.contacts
             return spring_model.torsion_stiffness(self.chain, at, near, tether)
-        found = curvature.springs_of(self.terms, at.x, ~self.chain.structure.obstacle)
+        springs = curvature.springs_of(self.terms, at.x, ~self.chain.structure.obstacle)
         angles = curvature.bonded_gradients(self.terms, at.x)
-        return spring_model.torsion_stiffness(self.chain, at, lambda *_: found, tether, angles)
+        return spring_model.torsion_stiffness(self.chain, at, lambda *_: springs, tether, angles)
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the stiffness of contacts with nearly nothing added."""
@@ -189,14 +184,14 @@ def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
         return np.empty((0, chain.n_v))
     motions = np.zeros((6, chain.n_v))
     for root in roots:
-        own = slice(tree.v_start[root], tree.v_start[root] + 6)
+        freedoms = slice(tree.v_start[root], tree.v_start[root] + 6)
         twists = np.empty((6, 6))
-        for k, unit in enumerate(np.eye(chain.n_v)[own]):
+        for k, unit in enumerate(np.eye(chain.n_v)[freedoms]):
             twists[:, k] = multibody.velocities(tree, frames, unit)[root]
         wanted = np.eye(6)
         # A turn about the world's origin moves this body's origin along.
         wanted[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
-        motions[:, own] = np.linalg.solve(twists, wanted).T
+        motions[:, freedoms] = np.linalg.solve(twists, wanted).T
     return motions
 
 
@@ -338,7 +333,7 @@ class Cartesian:
         motions = among[np.sum(size > _RANK * len(x)) :] @ motions.reshape(6, -1)
         _, size, along = np.linalg.svd(motions, full_matrices=False)
         rigid = along[size > _RANK * len(x)]
-        return np.array([self.inward(at.x, each) for each in rigid]).reshape(rigid.shape)
+        return np.array([self.inward(at.x, motion) for motion in rigid]).reshape(rigid.shape)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the diagonal mass matrix."""

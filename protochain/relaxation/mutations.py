@@ -96,7 +96,7 @@ class Mutation(Value):
     @property
     def interface_change(self) -> float | None:
         """Change of the energy of binding of the interface that was named, kJ/mol."""
-        ends = [each.interface_end for each in (self.wild, self.mutant)]
+        ends = [side.interface_end for side in (self.wild, self.mutant)]
         if ends[0] is None or ends[1] is None:
             return None
         return float(ends[1].scores["energy_kj_mol"] - ends[0].scores["energy_kj_mol"])
@@ -133,7 +133,7 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda m: m.mutant.ca_rmsd_angstrom),
     Column("seconds", lambda m: m.seconds),
     Column("message", lambda m: m.mutant.message),
-)  # fmt: skip
+)
 
 
 @checked()
@@ -192,7 +192,7 @@ def protocol(options: Mapping[str, Any], source: Any = None) -> tuple[RelaxSetti
 
 def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int, str]:
     """Names of the new residues by the index of the old, of mutations as ``A:L45F``."""
-    chains, found = list(dict.fromkeys(structure.residue_chain.tolist())), dict[int, str]()
+    chains, new_names = list(dict.fromkeys(structure.residue_chain.tolist())), dict[int, str]()
     given = words_of(mutations, "mutations")
     if not given:
         raise ProtochainError("mutations: give some, as A:L45F,B:G10A")
@@ -206,10 +206,10 @@ def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int,
         (r, *_) = structure.atom_residue[atoms_at(structure, f"{chain}:{read[3]}")].tolist()
         if STANDARD.get(str(structure.residue_name[r])) != read[2]:
             raise StructureError(f"{structure.name}: {each}: there is {structure.describe_residue(r)}")
-        if r in found:
+        if r in new_names:
             raise ProtochainError(f"mutations: {each!r}: its residue is mutated twice")
-        found[r] = LETTERS[read[4]]
-    return found
+        new_names[r] = LETTERS[read[4]]
+    return new_names
 
 
 def mutated(
@@ -255,12 +255,12 @@ def told(structure: Structure, r: int, name: str) -> str:
 def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
     """States of the residues to rebuild: with C-betas near, by the backbone alone, as on the other side."""
     atoms = layout(structure).atoms("N", "CA", "C")
-    (found,) = np.nonzero((atoms != NONE).all(axis=1))
-    n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[found].T]
-    turn = np.where(structure.mirrored[found], -1.0, 1.0) * _BETA[2]
+    (complete,) = np.nonzero((atoms != NONE).all(axis=1))
+    n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[complete].T]
+    turn = np.where(structure.mirrored[complete], -1.0, 1.0) * _BETA[2]
     betas = placed(n, c, alpha, _BETA[0], _BETA[1], turn)
-    apart = KDTree(betas[np.isin(found, residues)]).query(betas)[0]
-    return {r: state for r in found[apart <= NEAR].tolist() if (state := _rebuildable(structure, r))}
+    apart = KDTree(betas[np.isin(complete, residues)]).query(betas)[0]
+    return {r: state for r in complete[apart <= NEAR].tolist() if (state := _rebuildable(structure, r))}
 
 
 def _rebuildable(structure: Structure, r: int) -> str:
@@ -293,8 +293,8 @@ def _selected(structure: Structure, residues: Sequence[int]) -> str:
 
 def _state(structure: Structure, r: int) -> str:
     """Name of a residue in its protonation state; empty of one that does not stand by itself."""
-    name, there = str(structure.residue_name[r]), structure.atom_name[structure.atom_residue == r]
-    protons = tuple(proton in there for proton in _PROTONS.get(name, ()))
+    name, names = str(structure.residue_name[r]), structure.atom_name[structure.atom_residue == r]
+    protons = tuple(proton in names for proton in _PROTONS.get(name, ()))
     return _STATES.get((name, protons), name)
 
 

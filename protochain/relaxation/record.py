@@ -9,20 +9,8 @@ from protochain.chains.restraint_list import RestraintValue
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.record import LIGANDS
 from protochain.minimisers.verdict import Status
-from protochain.results.columns import (
-    UNITS,
-    Column,
-    heading,
-    largest,
-    number,
-    of_energy,
-    of_losses,
-    of_measures,
-    of_remains,
-    of_restraints,
-    of_structure,
-    of_terms,
-)
+from protochain.results import columns
+from protochain.results.columns import UNITS, Column, heading, largest, number
 from protochain.validation import MEASURES
 from protochain.validation.findings import REMAINS
 from protochain.validation.fixed import fixed_counts
@@ -50,11 +38,11 @@ COLUMNS = (
     Column("farthest_atom_angstrom", lambda r: r.farthest_angstrom),
     *LIGANDS,
     Column("frame", lambda r: str(r.frame)),
-    *of_terms(TERMS),
-    *of_measures(MEASURES, "start"),
-    *of_measures(MEASURES, "end"),
-    *of_remains(REMAINS),
-    *of_restraints(RestraintValue),
+    *columns.of_terms(TERMS),
+    *columns.of_measures(MEASURES, "start"),
+    *columns.of_measures(MEASURES, "end"),
+    *columns.of_remains(REMAINS),
+    *columns.of_restraints(RestraintValue),
     Column("overlaps_start", lambda r: len(r.wrong_start.overlaps), kind=int),
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps, kind=int),
     Column("overlaps_beside_start", lambda r: r.wrong_start.n_beside, kind=int),
@@ -64,15 +52,15 @@ COLUMNS = (
     Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end, r.ligand_motion))),
     Column("n_rounds", lambda r: len(r.rounds)),
     Column("n_residues_released", lambda r: r.rounds[r.best].released),
-    Column("rounds", lambda r: [asdict(each) for each in r.rounds]),
-    Column("iterations", lambda r: sum(each.iterations for each in r.rounds), kind=int),
-    Column("evaluations", lambda r: sum(each.evaluations for each in r.rounds), kind=int),
+    Column("rounds", lambda r: [asdict(entry) for entry in r.rounds]),
+    Column("iterations", lambda r: sum(entry.iterations for entry in r.rounds), kind=int),
+    Column("evaluations", lambda r: sum(entry.evaluations for entry in r.rounds), kind=int),
     Column("seconds", lambda r: r.seconds),
     Column("timings", lambda r: dict(r.timings), kind=dict[str, float | None]),
-    *of_structure(_start),
+    *columns.of_structure(_start),
     Column("n_atoms_moving", lambda r: r.n_atoms_moving),
     Column("move", lambda r: r.move),
-    *of_energy(),
+    *columns.of_energy(),
     Column("preset", lambda r: "" if r.settings.protocol else r.settings.preset),
     Column("protocol", lambda r: r.settings.protocol),
     Column("bonds_to_hydrogen", lambda r: "free"),
@@ -89,14 +77,12 @@ COLUMNS = (
     Column("hydrogens", lambda r: "kept" if r.settings.keep_hydrogens else "stripped"),
     Column("repacked", lambda r: r.settings.repack or bool(r.settings.repack_region), kind=bool),
     Column("repack_region", lambda r: r.settings.repack_region),
-    Column("side_chains_turned", lambda r: [str(each) for each in r.turned], kind=list[str]),
-    Column(
-        "stereocentres_corrected", lambda r: [str(each) for each in r.stereocentres_corrected], kind=list[str]
-    ),
-    Column("peptides_turned", lambda r: [str(each) for each in r.peptides_turned], kind=list[str]),
+    Column("side_chains_turned", lambda r: [*map(str, r.turned)], kind=list[str]),
+    Column("stereocentres_corrected", lambda r: [*map(str, r.stereocentres_corrected)], kind=list[str]),
+    Column("peptides_turned", lambda r: [*map(str, r.peptides_turned)], kind=list[str]),
     Column("fixed", lambda r: fixed_counts(r.start), kind=dict[str, int]),
     Column("left_out", lambda r: dict(r.start.left_out), kind=dict[str, int]),
-    *of_losses(_start),
+    *columns.of_losses(_start),
     Column("threads", lambda r: r.energy_function.threads, kind=int | None),
 )
 """In the order in which a reader looks at them."""
@@ -136,9 +122,9 @@ INTERFACE_COLUMNS = (
 """Further columns, where an interface is scored."""
 
 
-def _strain(found: tuple[LigandFound, ...]) -> float | None:
+def _strain(ligands: tuple[LigandFound, ...]) -> float | None:
     """Largest strain of a ligand."""
-    return largest([each.strain_kj_mol for each in found if each.strain_kj_mol is not None])
+    return largest([ligand.strain_kj_mol for ligand in ligands if ligand.strain_kj_mol is not None])
 
 
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -148,26 +148,21 @@ class RelaxSettings(Settings):
     @property
     def strength(self) -> Preset:
         """The preset or protocol, with the tolerance and stiffness that were given in place of its own."""
-        own = PROTOCOLS[self.protocol] if self.protocol else PRESETS[self.preset]
+        preset = PROTOCOLS[self.protocol] if self.protocol else PRESETS[self.preset]
         if self.tolerance is not None:
-            own = replace(own, tolerance=self.tolerance)
+            preset = replace(preset, tolerance=self.tolerance)
         if self.stiffness is not None:
-            share = self.stiffness / max(own.backbone)
-            backbone, side_chains = (tuple(share * k for k in ks) for ks in (own.backbone, own.side_chains))
-            own = replace(own, backbone=backbone, side_chains=side_chains)
-        return own
+            share = self.stiffness / max(preset.backbone)
+            backbone = tuple(share * k for k in preset.backbone)
+            side_chains = tuple(share * k for k in preset.side_chains)
+            preset = replace(preset, backbone=backbone, side_chains=side_chains)
+        return preset
 
     def setup(self, given: Setup) -> Setup:
-        """Return a setup with the force field and solvent of the protocol, and the side chains to build.
-
-        Raises
-        ------
-        ProtochainError
-            If it asks for others.
-        """
-        own = self.strength
+        """Return a setup with the force field and solvent of the protocol, and the side chains to build."""
+        strength = self.strength
         for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
-            asked, fixed = getattr(given, name), getattr(own, name)
+            asked, fixed = getattr(given, name), getattr(strength, name)
             if fixed and asked not in (usual, fixed):
                 raise ProtochainError(
                     Argument(name),
@@ -176,7 +171,8 @@ class RelaxSettings(Settings):
                     f" {self.protocol} is {fixed}; leave one of them out",
                 )
         return replace(
-            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent,
+            given, forcefield=strength.forcefield or given.forcefield,
+            solvent=strength.solvent or given.solvent,
             rebuild_side_chains=self.rebuild_side_chains or given.rebuild_side_chains,
             sequence=self.sequence or given.sequence,
         )  # fmt: skip

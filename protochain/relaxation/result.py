@@ -134,8 +134,8 @@ class Relaxation(RunEnds):
         residues = s.atom_residue[right]
         names = {residue: s.atom_name[right[residues == residue]] for residue in np.unique(residues).tolist()}
         return tuple(
-            Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*its.tolist(),)})
-            for residue, its in names.items()
+            Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*atoms.tolist(),)})
+            for residue, atoms in names.items()
         )
 
     @cached_property
@@ -219,9 +219,9 @@ class Relaxation(RunEnds):
 
     def provenance(self) -> Iterable[str]:
         """Provenance of the structure, as remarks for its file."""
-        own = self.settings
-        kind = "PROTOCOL" if own.protocol else "PRESET"
-        how = [f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
+        settings = self.settings
+        kind = "PROTOCOL" if settings.protocol else "PRESET"
+        how = [f"{kind} {settings.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
         if self.move != defaults.MOVE:
             fixed = f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED"
             how.append(f"{fixed}: {self.move}")
