@@ -5,11 +5,12 @@ element, the formal charges of the file if it has any, and the radii that the so
 """
 
 import copy
-import io
+import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from itertools import combinations
+from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 import openmm
@@ -19,37 +20,13 @@ from scipy.spatial import KDTree
 from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
 from protochain.core.graph import joined
+from protochain.core.units import KJ_PER_KCAL
 from protochain.energies.native.terms import TIES
 from protochain.structure.molecule.links import is_metal
 from protochain.structure.molecule.model import BoundLigand, Structure, Tie
 from protochain.structure.molecule.sugars import GLYCOSYLATED
 from protochain.structure.molecule.templates import HAS_GLYCAM, PHOSPHATE_END
 
-_UFF = {
-    "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
-    "B": (4.083, 0.18), "C": (3.851, 0.105), "N": (3.66, 0.069), "O": (3.5, 0.06), "F": (3.364, 0.05),
-    "Ne": (3.243, 0.042), "Na": (2.983, 0.03), "Mg": (3.021, 0.111), "Al": (4.499, 0.505),
-    "Si": (4.295, 0.402), "P": (4.147, 0.305), "S": (4.035, 0.274), "Cl": (3.947, 0.227),
-    "Ar": (3.868, 0.185), "K": (3.812, 0.035), "Ca": (3.399, 0.238), "Sc": (3.295, 0.019),
-    "Ti": (3.175, 0.017), "V": (3.144, 0.016), "Cr": (3.023, 0.015), "Mn": (2.961, 0.013),
-    "Fe": (2.912, 0.013), "Co": (2.872, 0.014), "Ni": (2.834, 0.015), "Cu": (3.495, 0.005),
-    "Zn": (2.763, 0.124), "Ga": (4.383, 0.415), "Ge": (4.28, 0.379), "As": (4.23, 0.309),
-    "Se": (4.205, 0.291), "Br": (4.189, 0.251), "Kr": (4.141, 0.22), "Rb": (4.114, 0.04),
-    "Sr": (3.641, 0.235), "Y": (3.345, 0.072), "Zr": (3.124, 0.069), "Nb": (3.165, 0.059),
-    "Mo": (3.052, 0.056), "Tc": (2.998, 0.048), "Ru": (2.963, 0.056), "Rh": (2.929, 0.053),
-    "Pd": (2.899, 0.048), "Ag": (3.148, 0.036), "Cd": (2.848, 0.228), "In": (4.463, 0.599),
-    "Sn": (4.392, 0.567), "Sb": (4.42, 0.449), "Te": (4.47, 0.398), "I": (4.5, 0.339), "Xe": (4.404, 0.332),
-    "Cs": (4.517, 0.045), "Ba": (3.703, 0.364), "La": (3.522, 0.017), "Ce": (3.556, 0.013),
-    "Pr": (3.606, 0.01), "Nd": (3.575, 0.01), "Pm": (3.547, 0.009), "Sm": (3.52, 0.008),
-    "Eu": (3.493, 0.008), "Gd": (3.368, 0.009), "Tb": (3.451, 0.007), "Dy": (3.428, 0.007),
-    "Ho": (3.409, 0.007), "Er": (3.391, 0.007), "Tm": (3.374, 0.006), "Yb": (3.355, 0.228),
-    "Lu": (3.64, 0.041), "Hf": (3.141, 0.072), "Ta": (3.17, 0.081), "W": (3.069, 0.067),
-    "Re": (2.954, 0.066), "Os": (3.12, 0.037), "Ir": (2.84, 0.073), "Pt": (2.754, 0.08),
-    "Au": (3.293, 0.039), "Hg": (2.705, 0.385), "Tl": (4.347, 0.68), "Pb": (4.297, 0.663),
-    "Bi": (4.37, 0.518), "Th": (3.396, 0.026), "U": (3.395, 0.022),
-}  # fmt: skip
-"""Distance of the minimum (angstrom) and well depth (kcal/mol) of the universal force field: Rappe, Casewit,
-Colwell, Goddard, Skiff, J. Am. Chem. Soc. 114:10024 (1992), table 1."""
 _UNLISTED = (3.4, 0.1)
 _MONOVALENT = {
     ("Cu", 1): (0.2139939, 0.0046986), ("Ag", 1): (0.2389390, 0.0342432), ("Tl", 1): (0.3034401, 0.5866722),
@@ -57,7 +34,6 @@ _MONOVALENT = {
 """Sigma (nm) and epsilon (kJ/mol) of ions that OpenMM's set for TIP3P lacks: Li, Song, Merz, J. Chem. Theory
 Comput. 11:1645 (2015), fitted to free energies of hydration. Those of OpenMM's set with two charges and more
 are of Li, Roberts, Chakravorty, Merz, J. Chem. Theory Comput. 9:2733 (2013)."""
-_KCAL = 4.184
 _TOUCHING = 0.4
 """nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
 positions or bonds among them would add a large constant."""
@@ -66,10 +42,22 @@ _DONATED, _RETAINED = 0.37, 0.26
 Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
 
 
+@cache
+def _universal() -> dict[str, tuple[float, float]]:
+    """Distance of the minimum (angstrom) and well depth (kcal/mol) of each element.
+
+    Of the universal force field: Rappe, Casewit, Colwell, Goddard, Skiff, J. Am. Chem. Soc. 114:10024 (1992),
+    table 1.
+    """
+    with (Path(__file__).parent / "data" / "uff.csv").open(newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    return {element: (float(minimum), float(depth)) for element, minimum, depth in rows}
+
+
 def lennard_jones(element: str, charge: float = 0.0) -> tuple[float, float]:
     """Sigma (nm) and epsilon (kJ/mol) of an element with a charge (e)."""
-    minimum, depth = _UFF.get(element, _UNLISTED)
-    by_element = 0.1 * minimum / 2.0 ** (1.0 / 6.0), _KCAL * depth
+    minimum, depth = _universal().get(element, _UNLISTED)
+    by_element = 0.1 * minimum / 2.0 ** (1.0 / 6.0), KJ_PER_KCAL * depth
     return _MONOVALENT.get((element, round(charge)), by_element)
 
 
@@ -87,13 +75,13 @@ def create_system(
     sugars = structure.glycans
     ions = _ions(structure, force_field)
     framed = [_framed(structure, bound) for bound in bounds]
-    own = {r for places in framed for r in places}
-    topology, unknown = _recognised(force_field, structure, [*sugars, *ions], own)
+    framed_residues = {r for places in framed for r in places}
+    topology, unknown = _recognised(force_field, structure, [*sugars, *ions], framed_residues)
     unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
-    linked = {r: atoms for r, atoms in _linked(structure).items() if r not in own}
-    if unknown or linked or own:
+    linked = {r: atoms for r, atoms in _linked(structure).items() if r not in framed_residues}
+    if unknown or linked or framed_residues:
         force_field = fresh()
     residues = list(topology.residues())
     chosen = {residues[r]: _by_element(force_field, structure, residues[r]) for r in unknown}
@@ -138,24 +126,24 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 
 
 def _recognised(
-    force_field: app.ForceField, structure: Structure, small: Iterable[int], own: set[int]
+    force_field: app.ForceField, structure: Structure, small: Iterable[int], framed: set[int]
 ) -> tuple[app.Topology, list[int]]:
     """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
     # Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
     residue = structure.atom_residue
-    kept = structure.kept & ~np.isin(residue, [*small])
+    atoms = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
     beside = structure.kept[bonds]
     is_known = (beside[:, 0] == beside[:, 1]) | structure.mobile[bonds].any(axis=1)
     bonds = bonds[is_known & ~structure.coordination]
     unknown: set[int] = set()
     while True:
-        found = {
-            int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=kept))
-        } - own
-        if not found - unknown:
+        unmatched = {
+            int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=atoms))
+        } - framed
+        if not unmatched - unknown:
             return _topology(structure, bonds), sorted(unknown)
-        unknown |= found
+        unknown |= unmatched
         # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
         light = (structure.atom_element[bonds] == "H").any(axis=1)
         # Beyond a nucleotide without parameters, the strand goes on.
@@ -191,8 +179,8 @@ def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
             held |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
     bonds = structure.bonds
     # Springs hold what is bonded to an obstacle.
-    own = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
-    for i, j in bonds[own & ~structure.coordination].tolist():
+    is_mobile = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
+    for i, j in bonds[is_mobile & ~structure.coordination].tolist():
         if (i, j) not in held:
             raise ForceFieldError(
                 f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
@@ -207,11 +195,11 @@ def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.To
     for chain in structure.topology.chains():
         new_chain = made.addChain(chain.id)
         for residue in chain.residues():
-            mine = [a for a in residue.atoms() if only is None or only[a.index]]
-            if not mine:
+            chosen = [a for a in residue.atoms() if only is None or only[a.index]]
+            if not chosen:
                 continue
             new = made.addResidue(residue.name, new_chain, str(residue.index))
-            for a in mine:
+            for a in chosen:
                 atoms[a.index] = made.addAtom(a.name, a.element, new)
     for first, second in bonds.tolist():
         if first in atoms and second in atoms:
@@ -239,14 +227,14 @@ def _charges(structure: Structure, residue: Any) -> dict[int, float]:
     """Formal charges of the atoms of a residue; in clusters, what the anions leave to the metals."""
     # Whole charges of ions at covalent distances would tear at their surroundings: computed ones of iron and
     # sulphide are some tenths.
-    found = {a.index: float(structure.formal_charge[a.index]) for a in residue.atoms()}
-    metals = [a.index for a in residue.atoms() if is_metal(a.element.symbol) and found[a.index] > 0.0]
-    anions = [k for k, charge in found.items() if charge < 0.0]
+    charges = {a.index: float(structure.formal_charge[a.index]) for a in residue.atoms()}
+    metals = [a.index for a in residue.atoms() if is_metal(a.element.symbol) and charges[a.index] > 0.0]
+    anions = [k for k, charge in charges.items() if charge < 0.0]
     if metals and anions:
-        total = sum(found.values())
+        total = sum(charges.values())
         bearers = metals if total >= 0.0 else anions
-        found |= dict.fromkeys((*metals, *anions), 0.0) | dict.fromkeys(bearers, total / len(bearers))
-    return found
+        charges |= dict.fromkeys((*metals, *anions), 0.0) | dict.fromkeys(bearers, total / len(bearers))
+    return charges
 
 
 _ALONG = ("P", "O3'"), ("O3'", "P")
@@ -268,9 +256,9 @@ def _nucleic_charges(force_field: app.ForceField, structure: Structure, residue:
     if template is None or any("charge" not in a.parameters for a in template.atoms):
         return {}
     known = {a.name: a.parameters["charge"] for a in template.atoms}
-    found = {k: known.get(name, 0.0) for name, k in index.items()}
-    lacking = (sum(known.values()) - sum(found.values())) / len(found)
-    return {k: charge + lacking for k, charge in found.items()}
+    charges = {k: known.get(name, 0.0) for name, k in index.items()}
+    lacking = (sum(known.values()) - sum(charges.values())) / len(charges)
+    return {k: charge + lacking for k, charge in charges.items()}
 
 
 def _add_template(
@@ -280,15 +268,11 @@ def _add_template(
     kinds: Mapping[str, "_Kind"],
 ) -> str:
     """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
-    root = ElementTree.Element("ForceField")
-    new = {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes}
-    listed = ElementTree.SubElement(root, "AtomTypes")
-    for kind, of in new.items():
-        named = {"name": kind, "class": kind, "element": of.symbol}
-        mass = app.Element.getBySymbol(of.symbol).mass._value
-        ElementTree.SubElement(listed, "Type", named | {"mass": f"{mass}"})
-    _add_pairs(root, force_field, kinds)
-    force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
+    for kind, of in kinds.items():
+        if kind not in force_field._atomTypes:
+            mass = app.Element.getBySymbol(of.symbol).mass._value
+            force_field.registerAtomType({"name": kind, "class": kind, "element": of.symbol, "mass": mass})
+    _add_pairs(force_field, kinds)
     made = app.ForceField._TemplateData(f"molecule-{residue.index}")
     for a in residue.atoms():
         kind, charge = types[a.index]
@@ -311,27 +295,17 @@ class _Kind(NamedTuple):
     epsilon: float
 
 
-def _add_pairs(root: ElementTree.Element, force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
+def _add_pairs(force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
     """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
-    generators = {type(each).__name__: each for each in force_field.getGenerators()}
-    tabulated = "LennardJonesGenerator" in generators
-    for generator, tag in (
-        ("NonbondedGenerator", "NonbondedForce"),
-        ("LennardJonesGenerator", "LennardJonesForce"),
-    ):
-        its = generators.get(generator)
-        if its is None:
-            continue
-        scales = {"lj14scale": f"{its.lj14scale}"}
-        if tag == "NonbondedForce":
-            scales["coulomb14scale"] = f"{its.coulomb14scale}"
-        node = ElementTree.SubElement(root, tag, scales)
-        for kind, of in kinds.items():
-            values = {"type": kind, "sigma": f"{of.sigma!r}", "epsilon": f"{of.epsilon!r}"}
-            if tag == "NonbondedForce":
-                values["charge"] = f"{of.charge!r}"
-                values |= {"sigma": "1.0", "epsilon": "0.0"} if tabulated else {}
-            ElementTree.SubElement(node, "Atom", values)
+    generators = {type(generator).__name__: generator for generator in force_field.getGenerators()}
+    nonbonded, table = (generators.get(name) for name in ("NonbondedGenerator", "LennardJonesGenerator"))
+    for kind, of in kinds.items():
+        well = {"type": kind, "sigma": of.sigma, "epsilon": of.epsilon}
+        if table is not None:
+            table.registerLennardJones(well)
+            well |= {"sigma": 1.0, "epsilon": 0.0}
+        if nonbonded is not None:
+            nonbonded.registerAtom(well | {"charge": of.charge})
 
 
 def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
@@ -341,10 +315,10 @@ def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
     for k in range(nonbonded.getNumExceptions()):
         i, j, product, _, epsilon = nonbonded.getExceptionParameters(k)
         if i in owner and j in owner and (product._value or epsilon._value):
-            (its, a), (_, b) = owner[i], owner[j]
-            charges = its.scale_coulomb * its.charge[a] * its.charge[b]
-            sigma = 0.5 * (its.sigma[a] + its.sigma[b])
-            depth = its.scale_lj * np.sqrt(its.epsilon[a] * its.epsilon[b])
+            (parameters, a), (_, b) = owner[i], owner[j]
+            charges = parameters.scale_coulomb * parameters.charge[a] * parameters.charge[b]
+            sigma = 0.5 * (parameters.sigma[a] + parameters.sigma[b])
+            depth = parameters.scale_lj * np.sqrt(parameters.epsilon[a] * parameters.epsilon[b])
             nonbonded.setExceptionParameters(k, i, j, charges, sigma, depth if epsilon._value else 0.0)
     # Of a force field with a table of pairs, Lennard-Jones of pairs three bonds apart is a force of its own.
     for force in system.getForces():
@@ -352,9 +326,9 @@ def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
             for k in range(force.getNumBonds()):
                 i, j, (sigma, epsilon) = force.getBondParameters(k)
                 if i in owner and j in owner:
-                    (its, a), (_, b) = owner[i], owner[j]
-                    depth = np.sqrt(its.epsilon[a] * its.epsilon[b])
-                    force.setBondParameters(k, i, j, [sigma, its.scale_lj * depth])
+                    (parameters, a), (_, b) = owner[i], owner[j]
+                    depth = np.sqrt(parameters.epsilon[a] * parameters.epsilon[b])
+                    force.setBondParameters(k, i, j, [sigma, parameters.scale_lj * depth])
 
 
 def _is_cap(bound: BoundLigand, i: int) -> bool:
@@ -364,11 +338,11 @@ def _is_cap(bound: BoundLigand, i: int) -> bool:
 
 def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
     """Atoms of a fragment, by those of the structure, in each of its residues."""
-    found: dict[int, dict[int, int]] = {}
+    framed: dict[int, dict[int, int]] = {}
     for i, k in enumerate(bound.atoms.tolist()):
         if k >= 0 and not _is_cap(bound, i):
-            found.setdefault(int(structure.atom_residue[k]), {})[k] = i
-    return found
+            framed.setdefault(int(structure.atom_residue[k]), {})[k] = i
+    return framed
 
 
 def _register(
@@ -382,16 +356,16 @@ def _register(
     # Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
     # C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
     # charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
-    its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
+    parameters, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
     core = bound.core or ("",) * len(bound.atoms)
     beyond = sum(_of_end(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
     places = {r: place for r, place in places.items() if not all(core[i] for i in place.values())}
     at = {k: i for place in places.values() for k, i in place.items()}
     known = {r: _kept(force_field, residues[r], core, place) for r, place in places.items()}
-    kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
-    charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
+    fixed = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
+    charge = {k: fixed.get(k, float(parameters.charge[i])) for k, i in at.items()}
     if bound.core:  # A ligand has the charge that it has.
-        rest = [k for k in at if k not in kept]
+        rest = [k for k in at if k not in fixed]
         lacking = (int(formal[[*at.values()]].sum()) + beyond - sum(charge.values())) / len(rest)
         charge |= {k: charge[k] + lacking for k in rest}
     chosen = {}
@@ -406,7 +380,7 @@ def _register(
             types[k] = known[r][k][0] if k in known[r] else f"molecule-{r}-{a.name}", charge[k]
             if k not in known[r]:
                 kinds[types[k][0]] = _Kind(
-                    a.element.symbol, charge[k], float(its.sigma[i]), float(its.epsilon[i])
+                    a.element.symbol, charge[k], float(parameters.sigma[i]), float(parameters.epsilon[i])
                 )
         chosen[residues[r]] = _add_template(force_field, residues[r], types, kinds)
     return chosen
@@ -422,8 +396,8 @@ def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> f
         for bond in residue.external_bonds()
     }
     end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in joined, ("O3'", "P") in joined), "")
-    found = force_field._templates.get(kind + end) if kind and end else None
-    charge = sum(a.parameters["charge"] for a in found.atoms) if found else 0.0
+    template = force_field._templates.get(kind + end) if kind and end else None
+    charge = sum(a.parameters["charge"] for a in template.atoms) if template else 0.0
     return float(charge - round(charge))
 
 
@@ -442,37 +416,37 @@ def _kept(
     if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
     changed = {"CB"} if not base else {"C1'", "H1'"} if residue.name not in base else set()
-    found = {
+    types = {
         k: (known[name].type, None if name in changed else known[name].parameters["charge"])
         for name, k in core.items()
     }
     if not base and "N" in core and not end and "H" not in core:
         proline = next(a for a in force_field._templates["PRO"].atoms if a.name == "N")
-        found[core["N"]] = known["N"].type, proline.parameters["charge"]
-    return found
+        types[core["N"]] = known["N"].type, proline.parameters["charge"]
+    return types
 
 
 def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
     """Add the bonded terms of a molecule that touch its own atoms, in place of the force field's."""
-    its, at = bound.ligand.parameters, bound.atoms
+    terms, at = bound.ligand.parameters, bound.atoms
     core = bound.core or ("",) * len(at)
-    own = {k for i, k in enumerate(at.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
+    added = {k for i, k in enumerate(at.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
     bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
     torsions = _force(system, openmm.PeriodicTorsionForce)
     for k in range(torsions.getNumTorsions() if bound.core else 0):
         *atoms, n, phase, _ = torsions.getTorsionParameters(k)
-        if own & {*atoms}:  # By a rule for any atoms about a bond.
+        if added & {*atoms}:  # By a rule for any atoms about a bond.
             torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
     for term, add in (
-        (its.bonds, bonds.addBond),
-        (its.angles, angles.addAngle),
-        (its.torsions, lambda i, j, k, m, n, *values: torsions.addTorsion(i, j, k, m, round(n), *values)),
+        (terms.bonds, bonds.addBond),
+        (terms.angles, angles.addAngle),
+        (terms.torsions, lambda i, j, k, m, n, *values: torsions.addTorsion(i, j, k, m, round(n), *values)),
     ):
         for places, values in zip(term.atoms.tolist(), term.parameters.tolist(), strict=True):
             atoms = at[places].tolist()
-            if min(atoms) >= 0 and own & {*atoms}:
+            if min(atoms) >= 0 and added & {*atoms}:
                 add(*atoms, *values)
-            elif own & {*atoms} and (gone := [i for i in places if at[i] < 0 and not _is_cap(bound, i)]):
+            elif added & {*atoms} and (gone := [i for i in places if at[i] < 0 and not _is_cap(bound, i)]):
                 raise ForceFieldError(
                     f"{bound.ligand.molecule.names[gone[0]]} has terms of a bond between residues, but the "
                     "structure lacks it: leave that bond out of the file"
@@ -490,18 +464,18 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
 
 def _linked(structure: Structure) -> dict[int, set[int]]:
     """Residues of the protein without hydrogens where a bond joins them to others, and these atoms."""
-    found: dict[int, set[int]] = {}
+    linked: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
-        for mine, its in ((first, second), (second, first)):
-            if structure.kept[its] and not structure.kept[mine] and not metal[its]:
-                found.setdefault(int(structure.atom_residue[mine]), set()).add(mine)
+        for inner, outer in ((first, second), (second, first)):
+            if structure.kept[outer] and not structure.kept[inner] and not metal[outer]:
+                linked.setdefault(int(structure.atom_residue[inner]), set()).add(inner)
     of, name = structure.atom_residue, structure.atom_name
     rings = np.unique(of[(structure.residue_name[of] == "HIS") & ~structure.kept])
     protonated = {*of[np.isin(name, ["HD1", "HE2"])].tolist()}
     for r in (r for r in rings.tolist() if r not in protonated):
-        found.setdefault(r, set()).update(np.flatnonzero((of == r) & (name == "NE2")).tolist())
-    return found
+        linked.setdefault(r, set()).update(np.flatnonzero((of == r) & (name == "NE2")).tolist())
+    return linked
 
 
 def _glycosylated(residue: Any) -> str:
@@ -632,11 +606,11 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
     (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
     old = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(structure.n_atoms)])
     new = old.copy()
-    for metal, its in donors.items():
+    for metal, donor_atoms in donors.items():
         if old[metal] > 0.0:
-            share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(its))
-            new[metal] -= share * len(its)
-            new[its] += share
+            share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(donor_atoms))
+            new[metal] -= share * len(donor_atoms)
+            new[donor_atoms] += share
     changed = {*np.flatnonzero(new != old).tolist()}
     for i in sorted(changed):
         _, sigma, epsilon = nonbonded.getParticleParameters(i)
