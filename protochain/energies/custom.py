@@ -70,7 +70,7 @@ def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Float
     returned = function(np.array(x))
     if not isinstance(returned, tuple | list) or len(returned) != 2:
         raise ProtochainError(f"{name}: return (energy, forces), not {shown(returned)}")
-    value, forces = (_real(each) for each in returned)
+    value, forces = (_real(part) for part in returned)
     if value is None or value.size != 1 or forces is None:
         what = f"{shown(returned[0])} and {shown(returned[1])}"
         raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {what}")
@@ -82,10 +82,10 @@ def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Float
     return float(value.item()), np.array(forces, dtype=np.float64, order="C")
 
 
-def _real(given: Any) -> NDArray[Any] | None:
+def _real(value: Any) -> NDArray[Any] | None:
     """Array of real numbers; None for anything else."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(value)
     except (TypeError, ValueError, RuntimeError):
         return None
     return array if array.dtype.kind in "biuf" else None

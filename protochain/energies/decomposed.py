@@ -147,11 +147,11 @@ def energy_terms(
         raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")
     if parts and by == "term":
         return _interface(structure, native, parts)
-    found = decomposed(structure, native, structure.positions, by == "pair" or parts is not None)
+    decomposition = decomposed(structure, native, structure.positions, by == "pair" or parts is not None)
     if parts:
-        found = _between(found, parts)
+        decomposition = _between(decomposition, parts)
     if by == "term":
-        return _with_total(pd.DataFrame([found.terms], index=["whole"]))
+        return _with_total(pd.DataFrame([decomposition.terms], index=["whole"]))
     named = pd.DataFrame(
         {
             "chain": structure.residue_chain, "name": structure.residue_name,
@@ -159,11 +159,11 @@ def energy_terms(
         }
     )[["chain", "residue", "name"]]  # fmt: skip
     if by == "residue":
-        return _with_total(named.join(pd.DataFrame(found.shares.T, columns=TERMS)))
-    first, second = np.nonzero(found.pairs.any(axis=0))
+        return _with_total(named.join(pd.DataFrame(decomposition.shares.T, columns=TERMS)))
+    first, second = np.nonzero(decomposition.pairs.any(axis=0))
     sides = [named.iloc[k].reset_index(drop=True).add_suffix(f"_{n}") for n, k in ((1, first), (2, second))]
     return _with_total(
-        pd.concat([*sides, pd.DataFrame(found.pairs[:, first, second].T, columns=TERMS)], axis=1)
+        pd.concat([*sides, pd.DataFrame(decomposition.pairs[:, first, second].T, columns=TERMS)], axis=1)
     )
 
 
@@ -173,16 +173,16 @@ def _with_total(table: "pd.DataFrame") -> "pd.DataFrame":
 
 def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Residues of two parts, (nr,) bool each."""
-    given = between.split(",") if isinstance(between, str) else between
-    if not isinstance(given, list | tuple) or len(given) != 2 or not all(isinstance(e, str) for e in given):
+    sides = between.split(",") if isinstance(between, str) else between
+    if not isinstance(sides, list | tuple) or len(sides) != 2 or not all(isinstance(e, str) for e in sides):
         raise ProtochainError(f"between {between!r}: give two parts, as 'A:1-50,B'")
-    found = [residues_of(structure, each.strip(), "between") for each in given]
-    if (found[0] & found[1]).any():
-        both = structure.describe_residue(int(np.argmax(found[0] & found[1])))
+    masks = [residues_of(structure, part.strip(), "between") for part in sides]
+    if (masks[0] & masks[1]).any():
+        both = structure.describe_residue(int(np.argmax(masks[0] & masks[1])))
         raise ProtochainError(
             f"between {between!r}: {both} is in both parts; give parts without it in common"
         )
-    return found[0], found[1]
+    return masks[0], masks[1]
 
 
 def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]:
@@ -220,12 +220,12 @@ def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]
     return chosen
 
 
-def _between(found: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
+def _between(decomposition: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
     """What is of pairs of residues of the two parts alone."""
     one, other = parts
     across = one[:, None] & other
-    pairs = found.pairs * (across | across.T)
-    return Decomposed(found.structure, _shares(pairs), pairs)
+    pairs = decomposition.pairs * (across | across.T)
+    return Decomposed(decomposition.structure, _shares(pairs), pairs)
 
 
 def _interface(
@@ -234,7 +234,7 @@ def _interface(
     import pandas as pd
 
     rows = np.array(
-        [each.sum(axis=1) for each in interaction(structure, energy, structure.positions, *parts)]
+        [shares.sum(axis=1) for shares in interaction(structure, energy, structure.positions, *parts)]
     )
     table = pd.DataFrame([*rows, rows.sum(axis=0)], ["interaction", "desolvation", "sum"], TERMS)
     return _with_total(table)
@@ -298,16 +298,16 @@ def interaction(
     # x (na, 3) nm, one, other (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: Shares of each
     # residue: half of its pairs with the other part, with the Born radii that both have together; and what
     # generalised Born and surface within its own part change.
-    mine, its = (part[structure.atom_residue] for part in (one, other))
+    of_one, of_other = (part[structure.atom_residue] for part in (one, other))
     away = np.zeros((structure.n_atoms, 3))
-    away[~mine & ~its, 1] = _AWAY
+    away[~of_one & ~of_other, 1] = _AWAY
     together = decomposed(structure, energy, x + away, pairs=True)
-    away[its, 0] = _AWAY
+    away[of_other, 0] = _AWAY
     apart = decomposed(structure, energy, x + away, pairs=True)
     within = np.zeros_like(together.pairs)
-    own = (one[:, None] & one) | (other[:, None] & other)
+    same_side = (one[:, None] & one) | (other[:, None] & other)
     for term in map(TERMS.index, ("generalised_born", "surface")):
-        within[term] = (together.pairs[term] - apart.pairs[term]) * own
+        within[term] = (together.pairs[term] - apart.pairs[term]) * same_side
     return _between(together, (one, other)).shares, _shares(within)
 
 
@@ -338,13 +338,13 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
     terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
     born, shares = energy.born_radii(x), np.zeros((len(TERMS), n))
     matrix = np.zeros((len(TERMS), n, n) if pairs else (0, 0, 0))
-    found = _bonded(terms, x)
-    found |= _exceptions(terms, x)
+    energies = _bonded(terms, x)
+    energies |= _exceptions(terms, x)
     if terms.solvent is not None:
         atoms = np.arange(len(x))[:, None].repeat(2, axis=1)
-        found["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
-        found["surface"] = atoms, terms.solvent.surface / born**6
-    for kind, (ends, values) in found.items():
+        energies["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
+        energies["surface"] = atoms, terms.solvent.surface / born**6
+    for kind, (ends, values) in energies.items():
         if not len(values):
             continue
         k = TERMS.index(kind)
@@ -429,7 +429,7 @@ def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
             np.concatenate([of["ties"].atoms, of["tie angles"].atoms[:, [1, 1]]]),
             np.concatenate([springs("ties", distance), springs("tie angles", angle)]),
         ),
-    }  # fmt: skip
+    }
 
 
 def _dihedrals(x: Floats, atoms: Integers) -> Floats:

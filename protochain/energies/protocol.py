@@ -79,17 +79,9 @@ class Energy(Protocol):
         """Build its neighbour lists at positions x (na, 3) in nm."""
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Evaluate energies by kind, or by force of the System, and the forces of all.
+        """Energies in kJ/mol by kind, or by force of the System, and forces (na, 3) in kJ/mol/nm, at x in nm.
 
-        Parameters
-        ----------
-        x : (na, 3) float, nm
-            Positions.
-
-        Returns
-        -------
-        dict of str to float, (na, 3) float
-            Energies in kJ/mol, those of equal names added; forces in kJ/mol/nm.
+        Energies of equal names are added.
         """
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:

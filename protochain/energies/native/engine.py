@@ -93,10 +93,10 @@ class NativeEnergy:
         if self.opening is not None:
             text += "; far pairs by a tree"
         if self.errors:
-            found = f"{self.errors[0]:.2g}" + (
+            error = f"{self.errors[0]:.2g}" + (
                 f", at last by {self.errors[-1]:.2g}" if self.errors[1:] else ""
             )
-            text += f", forces differ by {found} kJ/mol/nm RMS from those of all pairs"
+            text += f", forces differ by {error} kJ/mol/nm RMS from those of all pairs"
         if self.left_out:
             text += "; constant in this chain: " + ", ".join(
                 f"{n} {kind}" for kind, n in self.left_out.items()
@@ -131,8 +131,12 @@ class NativeEnergy:
 
     def by_tree(self, opening: Opening | None) -> "NativeEnergy":
         """Return a copy whose far pairs are summed by a tree; None: one by one."""
+        return self._copy(self._layout, opening)
+
+    def _copy(self, layout: Layout, opening: Opening | None = None) -> "NativeEnergy":
+        """Return an energy with another layout or opening, without neighbour lists."""
         copy = NativeEnergy.__new__(NativeEnergy)
-        copy._set(self.by_openmm, self.threads, self._layout, opening)
+        copy._set(self.by_openmm, self.threads, layout, opening)
         return copy
 
     def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
@@ -145,12 +149,12 @@ class NativeEnergy:
         elif n_blocks(terms.n_atoms) < FEWEST_BLOCKS:
             because = "so few are summed sooner than by a tree"
         else:
-            found = self.exact(x)
+            exact = self.exact(x)
             self._lists = self._evaluation = None
             for opening in openings(accuracy, terms.solvent is not None):
                 tree = self.by_tree(opening)
-                if tree.note_error(tree(x)[1], found[1]) <= accuracy:
-                    tree.chosen_by = read_only(x), found
+                if tree.note_error(tree(x)[1], exact[1]) <= accuracy:
+                    tree.chosen_by = read_only(x), exact
                     return tree
         note = f"all pairs one by one: {because}"
         self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")
@@ -159,9 +163,8 @@ class NativeEnergy:
     def note_error(self, forces: Floats, exact: Floats) -> float:
         """RMS difference of its forces (na, 3) from exact ones; if a tree sums them ``reason`` tells it."""
         error = float(np.sqrt(((forces - exact) ** 2).sum(axis=1).mean()))
-        if self.opening is None:
-            return error
-        self.errors = (*self.errors[:1], error)
+        if self.opening is not None:
+            self.errors = (*self.errors[:1], error)
         return error
 
     @property
@@ -218,20 +221,11 @@ class NativeEnergy:
         return evaluation.workspace.atoms
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
-        """Leave out terms that are constant while each group of atoms moves as a rigid body.
+        """Leave out terms that are constant while groups of atoms (na, k) stay rigid as at x (na, 3), nm.
 
-        Parameters
-        ----------
-        groups : (na, k) int
-            Groups of each atom, -1 for none. An atom on a hinge's axis belongs to both its bodies.
-        x : (na, 3) float, nm
-            Any positions with the groups in their rigid geometry.
-
-        Returns
-        -------
-        NativeEnergy
-            The same function of positions that keep the groups rigid, with the same force and torque on each
-            group. With a tree, itself, which sums all; or pairs that change, if they are fewer than its near.
+        The group is -1 for none. An atom on a hinge's axis belongs to both its bodies. The energy is the same
+        function of positions that keep the groups rigid, with the same force and torque on each group. With a
+        tree it is itself, which sums all, or pairs that change, if they are fewer than its near.
         """
         if self.opening is not None:
             less = self.exact.without_constants(groups, x)
@@ -243,21 +237,19 @@ class NativeEnergy:
             return less if is_less else self
         x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
-        kept, left_out = {}, {}
+        moving_terms, left_out = {}, {}
         for kind, some in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
             moving = ~_in_one_group(groups, some.atoms)
-            kept[kind] = Bonded(some.atoms[moving], some.parameters[moving])
+            moving_terms[kind] = Bonded(some.atoms[moving], some.parameters[moving])
             left_out[kind] = int(len(moving) - moving.sum())
-        nonbonded = replace(terms.nonbonded, exceptions=kept.pop("exceptions"))
-        fewer = replace(terms, bonded=kept, nonbonded=nonbonded)
-        less = NativeEnergy.__new__(NativeEnergy)
+        nonbonded = replace(terms.nonbonded, exceptions=moving_terms.pop("exceptions"))
+        fewer = replace(terms, bonded=moving_terms, nonbonded=nonbonded)
         # Exceptions left out must still be kept off the list of free pairs.
-        layout = replace(self._layout, terms=fewer, groups=groups)
-        less._set(self.by_openmm, self.threads, layout)
+        less = self._copy(replace(self._layout, terms=fewer, groups=groups))
         # Lists at these positions, whatever was computed before, so that runs repeat.
-        mine, its = lists_of(self._layout, x), lists_of(less._layout, x)
-        less._lists, less._all = its, (self._layout, mine, its, x)
-        left_out["close pairs"] = len(mine.close) - len(its.close)
+        all_lists, fewer_lists = lists_of(self._layout, x), lists_of(less._layout, x)
+        less._lists, less._all = fewer_lists, (self._layout, all_lists, fewer_lists, x)
+        left_out["close pairs"] = len(all_lists.close) - len(fewer_lists.close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
         return less
 
@@ -268,10 +260,8 @@ class NativeEnergy:
         krf = (_WATER - 1.0) / (2.0 * _WATER + 1.0) / _COARSE**3
         crf = 3.0 * _WATER / (2.0 * _WATER + 1.0) / _COARSE
         nonbonded = replace(terms.nonbonded, cutoff=_COARSE, krf=krf, crf=crf)
-        rough = NativeEnergy.__new__(NativeEnergy)
         fewer = replace(terms, nonbonded=nonbonded, solvent=None)
-        rough._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
-        return rough
+        return self._copy(replace(self._layout, terms=fewer))
 
     @cached_property
     def bonded(self) -> "NativeEnergy":
@@ -283,10 +273,8 @@ class NativeEnergy:
             pairs, charge=0.0 * pairs.charge, a12=0.0 * pairs.a12, b6=0.0 * pairs.b6, cutoff=near,
             exceptions=Bonded(pairs.exceptions.atoms[:0], pairs.exceptions.parameters[:0]),
         )  # fmt: skip
-        alone = NativeEnergy.__new__(NativeEnergy)
         fewer = replace(terms, nonbonded=nothing, solvent=None)
-        alone._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
-        return alone
+        return self._copy(replace(self._layout, terms=fewer))
 
     def cutoff_error(self, x: Floats) -> str:
         """Say by how much the cutoff changes the forces at x (na, 3) in nm, by one sum over all pairs."""

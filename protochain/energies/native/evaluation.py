@@ -8,25 +8,13 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.timings import shared
+from protochain.energies.native import tasks
 from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout, touch, touched
 from protochain.energies.native.far import Far
 from protochain.energies.native.helpers import Helpers, Worth, helpers
 from protochain.energies.native.layout import BORN, CHUNKS, ROWS, SUMS, W, aligned
 from protochain.energies.native.neighbours import Lists
-from protochain.energies.native.tasks import (
-    ALL,
-    COUNTERS,
-    IN_SOLVENT,
-    IN_VACUUM,
-    LED,
-    QUIT,
-    STEPS,
-    TASKS,
-    TO_RADII,
-    WAITED,
-    work,
-)
 
 KINDS = (
     "bonds",
@@ -76,11 +64,11 @@ class Evaluation:
     ) -> None:  # fmt: skip
         self.lists, self.workspace = lists, workspace
         self.order = far.tree.order if far else None
-        self._counters = np.zeros(COUNTERS, np.int64)
+        self._counters = np.zeros(tasks.COUNTERS, np.int64)
         self._arguments = arguments(layout, lists, fixed, workspace, far)
         self._most = min(threads, CHUNKS) - 1
-        self._counters[TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
-        self._counters[STEPS] = IN_VACUUM if layout.terms.solvent is None else IN_SOLVENT
+        self._counters[tasks.TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
+        self._counters[tasks.STEPS] = tasks.IN_VACUUM if layout.terms.solvent is None else tasks.IN_SOLVENT
         self._state = threading.Lock()
         self._runs, self._helping, self._helpers = False, 0, helpers()
 
@@ -98,21 +86,21 @@ class Evaluation:
         else:
             np.take(x, self.order, axis=0, out=w.x)
         asks = self._most > 0 and w.worth.asks(monotonic())
-        self._counters[QUIT] = not asks
+        self._counters[tasks.QUIT] = not asks
         self._runs, used, began = True, thread_time(), perf_counter()
         try:
             with shared():
                 if asks:
                     self._call_helpers(helpers())
-                work(True, self._counters, *self._arguments)
+                tasks.work(True, self._counters, *self._arguments)
         finally:
             self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
         # Also until this thread goes on: on a busy machine the interpreter may be another's for long.
         took = perf_counter() - began
         if asks:
-            tasks, led, waited = self._counters[[ALL, LED, WAITED]].tolist()
+            n_tasks, led, waited = self._counters[[tasks.ALL, tasks.LED, tasks.WAITED]].tolist()
             worked = min(took - TICK * waited, thread_time() - used)
-            w.worth.note(monotonic(), took, worked, led / tasks)
+            w.worth.note(monotonic(), took, worked, led / n_tasks)
         w.of = self
         forces = w.forces.copy()
         if self.order is not None:
@@ -126,13 +114,13 @@ class Evaluation:
 
     def put_born_radii(self, x: Floats) -> None:
         """Compute Born radii at x alone; it can do nothing else afterwards."""
-        self._counters[STEPS] = TO_RADII
+        self._counters[tasks.STEPS] = tasks.TO_RADII
         self(x)
 
     def was_at(self, x: Floats) -> bool:
         """Whether the workspace holds what this evaluation computed at x (na, 3)."""
-        its = self.workspace.x
-        return self.workspace.of is self and np.array_equal(its, x if self.order is None else x[self.order])
+        at = self.workspace.x
+        return self.workspace.of is self and np.array_equal(at, x if self.order is None else x[self.order])
 
     def _call_helpers(self, them: Helpers) -> None:
         with self._state:
@@ -146,15 +134,15 @@ class Evaluation:
     def help_out(self) -> None:
         """Do tasks, as a helper, until none has come for a while."""
         while True:
-            work(False, self._counters, *self._arguments)
+            tasks.work(False, self._counters, *self._arguments)
             with self._state:
-                if not self._runs or self._counters[QUIT]:
+                if not self._runs or self._counters[tasks.QUIT]:
                     self._helping -= 1
                     return
 
     def dismiss(self) -> None:
         """Let the helpers go: there are other lists now."""
-        self._counters[QUIT] = 1
+        self._counters[tasks.QUIT] = 1
 
 
 def tasks_of_a_step(threads: int, n_blocks: int) -> int:
@@ -173,27 +161,25 @@ def arguments(
     of_tree = None
     if far is not None:
         touch(writes, far.screened[0])
-        settings = tuple(
-            _fixed(*each) if isinstance(each, tuple) else _fixed(each)[0] for each in far.arguments()
-        )
+        settings = tuple(_fixed(*s) if isinstance(s, tuple) else _fixed(s)[0] for s in far.arguments())
         of_tree = far.room(), _fixed(*far.geometry()), settings, _fixed(*far.screened)
     state = w.x, w.atoms, w.sums, *_fixed(writes), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
     bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
-    own = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
+    exceptions = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
     maps = terms.bonded["maps"]
     of_maps = _fixed(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
-    some = kinds, *_fixed(lists.free), own, *bonded, of_maps
+    some = kinds, *_fixed(lists.free), exceptions, *bonded, of_maps
     if solvent is None:
         return state, vacuum, some, None, None, of_tree
-    each = (
+    per_atom = (
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
     )  # fmt: skip
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
-    born = each, _fixed(lists.close, fixed, lists.tiles), written
+    born = per_atom, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
         return state, vacuum, some, born, None, of_tree
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
