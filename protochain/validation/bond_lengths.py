@@ -77,4 +77,4 @@ def covalent_radii(structure: Structure) -> Floats:
 def metals(structure: Structure) -> NDArray[np.bool_]:
     """(na,) bool: metals."""
     symbols = np.unique(structure.atom_element)
-    return np.isin(structure.atom_element, [each for each in symbols if gemmi.Element(str(each)).is_metal])
+    return np.isin(structure.atom_element, [s for s in symbols if gemmi.Element(str(s)).is_metal])

@@ -35,8 +35,8 @@ def hydrogen_bonds(structure: Structure) -> Integers:
         pairs["v"] < _REACH
     ]
     near = near[near[:, 0] != near[:, 2]]
-    found = near[angle(*x[near.T]) > _ANGLE]
-    return np.asarray(found[np.lexsort((found[:, 2], found[:, 1]))])
+    bonds = near[angle(*x[near.T]) > _ANGLE]
+    return np.asarray(bonds[np.lexsort((bonds[:, 2], bonds[:, 1]))])
 
 
 def salt_bridges(structure: Structure) -> set[tuple[int, int]]:
@@ -49,7 +49,7 @@ def salt_bridges(structure: Structure) -> set[tuple[int, int]]:
         return set()
     x = structure.positions * ANGSTROM_PER_NM
     near = cKDTree(x[plus]).query_ball_tree(cKDTree(x[minus]), _SALT)
-    return {(int(of[plus[i]]), int(of[minus[j]])) for i, its in enumerate(near) for j in its}
+    return {(int(of[plus[i]]), int(of[minus[j]])) for i, partners in enumerate(near) for j in partners}
 
 
 def secondary_structure(structure: Structure) -> NDArray[np.str_]:

@@ -40,8 +40,8 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     """Measure each C-beta's distance from its ideal place, at x (na, 3) or its own; D are mirrored."""
     # Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev: the mean of two places,
     # built with ideal bond, angle and dihedral from either side of the backbone.
-    found = layout(structure)
-    atoms = found.atoms("N", "CA", "C", "CB")
+    amino = layout(structure)
+    atoms = amino.atoms("N", "CA", "C", "CB")
     # A planar C-alpha, as of dehydroamino acids, has another place for it.
     tetrahedral = np.bincount(structure.bonds.ravel(), minlength=structure.n_atoms)[atoms[:, 1]] > 3
     whole = (atoms != NONE).all(axis=1) & tetrahedral

@@ -155,9 +155,9 @@ def _kinds(structure: Structure) -> _Kinds:
     radius[(element == "C") & aromatic] = _AROMATIC
     radius[(element == "C") & carbonyl] = _CARBONYL
     # A hydrogen has one bond; one without any, or a second, is read as it is.
-    own = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
-    hydrogens, first = np.unique(own[:, 0], return_index=True)
-    parents = own[first, 1]
+    pairs = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
+    hydrogens, first = np.unique(pairs[:, 0], return_index=True)
+    parents = pairs[first, 1]
     polar = np.isin(element[parents], ["N", "O", "S"])
     radius[hydrogens[polar | aromatic[parents]]] = _POLAR_OR_AROMATIC_H
     lengths = np.array([_LENGTH.get(symbol, np.nan) for symbol in element[parents].tolist()])
@@ -244,9 +244,9 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
     def hide(dot: Integers, other: Integers) -> None:
         row = dot // len(share)
         depth = kinds.radius[other] - np.linalg.norm(x[other] - dots[dot], axis=1)
-        own = _is_excluded(structure, first[row], other)
+        excluded = _is_excluded(structure, first[row], other)
         stranger = (other != first[row]) & (other != second[row])
-        hidden[dot[np.where(own, depth > 0, stranger & (depth > reach[dot]))]] = True
+        hidden[dot[np.where(excluded, depth > 0, stranger & (depth > reach[dot]))]] = True
 
     # Of many atoms upon one another the nearest hide most dots; for what is left all are looked at.
     others = np.asarray(tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1])
@@ -258,7 +258,7 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
     ends = np.searchsorted(np.cumsum(count), range(portion, int(count.sum()), portion))
     for some in np.split(left, ends):
         near = tree.query_ball_point(dots[some], farthest)
-        if (number := [len(each) for each in near]) and sum(number):
+        if (number := [len(atoms) for atoms in near]) and sum(number):
             hide(np.repeat(some, number), np.concatenate(near).astype(np.int64))
     return np.asarray(~hidden.reshape(len(pairs), len(share)).all(axis=1))
 

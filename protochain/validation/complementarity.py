@@ -57,9 +57,9 @@ def complementarity(one: Dots, other: Dots) -> float:
     return float(np.mean([_median(one, other), _median(other, one)]))
 
 
-def _buried(x: Floats, radius: Floats, other: Floats, its: Floats) -> Dots:
+def _buried(x: Floats, radius: Floats, other: Floats, other_radius: Floats) -> Dots:
     """Dots of a side that the other hides from the probe, but those of the periphery."""
-    tree, reach = cKDTree(other), its + PROBE
+    tree, reach = cKDTree(other), other_radius + PROBE
     near = tree.query(x)[0] < (radius + PROBE + _BEYOND + reach.max(initial=0.0))
     dots = molecular_surface(x, radius, PROBE, DENSITY, near)
     if not len(dots):

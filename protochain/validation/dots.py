@@ -42,14 +42,14 @@ def molecular_surface(
         none = np.zeros((0, 3))
         return Dots(none, none, np.zeros(0), none)
     reach, tree = radius + probe, cKDTree(x)
-    found = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
+    candidates = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
     neighbours = []
-    for i, its in zip(of.tolist(), map(np.array, found), strict=True):
+    for i, near in zip(of.tolist(), map(np.array, candidates), strict=True):
         # Of these the spheres of the probe's centre cross that of the atom, or swallow it.
-        meets = np.linalg.norm(x[its] - x[i], axis=1) < reach[i] + reach[its]
-        neighbours.append(its[meets & (its != i)])
+        meets = np.linalg.norm(x[near] - x[i], axis=1) < reach[i] + reach[near]
+        neighbours.append(near[meets & (near != i)])
     convex = [
-        _convex(x, radius, probe, density, i, its) for i, its in zip(of.tolist(), neighbours, strict=True)
+        _convex(x, radius, probe, density, i, near) for i, near in zip(of.tolist(), neighbours, strict=True)
     ]
     saddles, rests, corners = _rolled(x, reach, probe, density, of, neighbours)
     concave = _concave(x, rests, corners, probe, density)
@@ -57,15 +57,15 @@ def molecular_surface(
     return Dots(*map(np.concatenate, zip(*((p.x, p.normal, p.area, p.probe) for p in parts), strict=True)))
 
 
-def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, its: Integers) -> Dots:
+def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, near: Integers) -> Dots:
     """Dots on atom i where the probe is in no neighbour's way."""
     area = 4.0 * np.pi * radius[i] ** 2
     way = sphere(max(int(np.ceil(area * density)), 1))
     share, reach = area / len(way), radius[i] + probe
-    if len(its):
-        arm = x[its] - x[i]
+    if len(near):
+        arm = x[near] - x[i]
         square = (arm**2).sum(axis=1)
-        limit = (square + reach**2 - (radius[its] + probe) ** 2) / (2.0 * reach)
+        limit = (square + reach**2 - (radius[near] + probe) ** 2) / (2.0 * reach)
         way = way[(way @ arm.T <= limit).all(axis=1)]
     return Dots(x[i] + radius[i] * way, way, np.full(len(way), share), x[i] + reach * way)
 
@@ -115,7 +115,7 @@ def _rolled(
     on, begin, end = arcs.circle, arcs.begin, arcs.end
     saddles = _saddles(
         arcs, centre[on], axis[on], one[on], other[on], h[on], along[on], apart[on], probe, density
-    )  # fmt: skip
+    )
     ends = np.concatenate([np.column_stack([on, k_of]) for k_of in (arcs.before, arcs.after)])
     angle = np.concatenate([begin, end])
     real = ends[:, 1] >= 0

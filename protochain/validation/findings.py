@@ -187,7 +187,7 @@ RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
         [ring.residue for ring in f.rings], minlength=f.structure.n_residues
     ),
     "atoms_added": lambda f: f.per_residue(f.structure.built),
-}  # fmt: skip
+}
 """Columns of :meth:`Found.table`."""
 
 
@@ -201,15 +201,11 @@ class Measure(NamedTuple):
 
 
 MEASURES = {
-    "violations": Measure(
-        "residues with violations", "viol", lambda f: len(f.violations.residues)
-    ),
+    "violations": Measure("residues with violations", "viol", lambda f: len(f.violations.residues)),
     "clashscore_per_1000_atoms": Measure(
         "clashes per 1000 atoms", "clash", lambda f: f.clashes.per_1000_atoms, False
     ),
-    "ramachandran_outliers": Measure(
-        "Ramachandran outliers", "rama", lambda f: len(f.ramachandran.outliers)
-    ),
+    "ramachandran_outliers": Measure("Ramachandran outliers", "rama", lambda f: len(f.ramachandran.outliers)),
     "ramachandran_favoured_percent": Measure(
         "Ramachandran favoured, per cent", "fav %", lambda f: f.ramachandran.favoured_percent, False
     ),
@@ -218,15 +214,14 @@ MEASURES = {
     ),
     "cbeta_outliers": Measure("C-beta outliers", "C-b", lambda f: len(f.cbeta.outliers)),
     "cis_peptides": Measure(
-        "cis peptide bonds but those before proline", "cis",
+        "cis peptide bonds but those before proline",
+        "cis",
         lambda f: int(np.sum(f.peptides.cis & ~f.peptides.proline)),
     ),
     "cis_prolines": Measure(
         "cis peptide bonds before proline", "", lambda f: int(np.sum(f.peptides.cis & f.peptides.proline))
     ),
-    "twisted_peptides": Measure(
-        "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
-    ),
+    "twisted_peptides": Measure("twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())),
     "inverted_stereocentres": Measure(
         "inverted stereocentres", "inverted", lambda f: len(f.inverted_stereocentres)
     ),
@@ -247,15 +242,13 @@ MEASURES = {
     ),
     "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
     "ligand_clashes": Measure(
-        "clashes of ligands with the protein", "", lambda f: sum(each.clashes for each in f.ligands)
+        "clashes of ligands with the protein", "", lambda f: sum(ligand.clashes for ligand in f.ligands)
     ),
-    "fixed_broken_bonds": Measure(
-        "broken bonds outside the protein", "", lambda f: len(f.fixed.bonds)
-    ),
+    "fixed_broken_bonds": Measure("broken bonds outside the protein", "", lambda f: len(f.fixed.bonds)),
     "fixed_clashes": Measure(
         "overlaps of what is fixed, by 1.5 angstrom", "", lambda f: len(f.fixed.clashes)
     ),
-}  # fmt: skip
+}
 """All that :func:`measures` returns, by key."""
 
 
@@ -291,12 +284,10 @@ REMAINS = {
         lambda f: double_bonds_named(f.structure, f.double_bonds),
     ),
     "clashes_between_chains": Remaining("clashes between chains", _at_interfaces),
-    "rotamer_outlier_residues": Remaining(
-        "rotamer outliers", lambda f: _residues(f, f.side_chains.outliers)
-    ),
+    "rotamer_outlier_residues": Remaining("rotamer outliers", lambda f: _residues(f, f.side_chains.outliers)),
     "cbeta_outlier_residues": Remaining("C-beta outliers", lambda f: _residues(f, f.cbeta.outliers)),
     "fixed_residues": Remaining("held fixed", lambda f: _residues(f, fixed_residues(f.structure))),
-}  # fmt: skip
+}
 """What results name by place, by key of their records."""
 _JUDGED = "inverted_stereocentres", "inverted_double_bonds"
 """Those that messages name as well, but for a clash's."""
@@ -311,5 +302,5 @@ def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
 def remains_in_words(record: Mapping[str, Any]) -> list[str]:
     """Describe what remains in a record beyond its message: a line for each of ``REMAINS`` with places."""
     named = () if record.get("status") == "clash" else _JUDGED
-    there = {key: record.get(key) for key in REMAINS if key not in named}
-    return [f"{REMAINS[key].what}: {listed(its)} ({len(its)})" for key, its in there.items() if its]
+    places = {key: record.get(key) for key in REMAINS if key not in named}
+    return [f"{REMAINS[key].what}: {listed(at)} ({len(at)})" for key, at in places.items() if at]

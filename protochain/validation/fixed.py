@@ -89,9 +89,9 @@ def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
 
 def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
     """(nr,) bool: residues that are nucleotides of DNA or RNA."""
-    kept = np.zeros(structure.n_residues, dtype=bool)
-    kept[structure.atom_residue[structure.kept]] = True
-    return np.asarray(kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
+    is_kept = np.zeros(structure.n_residues, dtype=bool)
+    is_kept[structure.atom_residue[structure.kept]] = True
+    return np.asarray(is_kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
 
 
 def _torn(structure: Structure, x: Floats) -> Integers:
@@ -99,17 +99,17 @@ def _torn(structure: Structure, x: Floats) -> Integers:
     of, element = structure.atom_residue, structure.atom_element
     skipped = _of_nucleotides(structure)
     skipped[of[metals(structure)]] = True
-    mine = structure.obstacle & (element != "H") & ~skipped[of]
-    bonds = structure.bonds[mine[structure.bonds].all(axis=1)]
-    piece, found = components(bonds[of[bonds[:, 0]] == of[bonds[:, 1]]], structure.n_atoms), []
-    for residue in np.unique(of[mine]).tolist():
-        its = np.flatnonzero(mine & (of == residue))
-        for other in np.unique(piece[its])[1:]:
-            loose, rest = its[piece[its] == other], its[piece[its] < other]
+    fixed = structure.obstacle & (element != "H") & ~skipped[of]
+    bonds = structure.bonds[fixed[structure.bonds].all(axis=1)]
+    piece, torn = components(bonds[of[bonds[:, 0]] == of[bonds[:, 1]]], structure.n_atoms), []
+    for residue in np.unique(of[fixed]).tolist():
+        atoms = np.flatnonzero(fixed & (of == residue))
+        for other in np.unique(piece[atoms])[1:]:
+            loose, rest = atoms[piece[atoms] == other], atoms[piece[atoms] < other]
             apart = np.linalg.norm(x[loose][:, None] - x[rest], axis=2)
             i, j = np.unravel_index(np.argmin(apart), apart.shape)
-            found.append(sorted((int(loose[i]), int(rest[j]))))
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+            torn.append(sorted((int(loose[i]), int(rest[j]))))
+    return np.array(torn, dtype=np.int64).reshape(-1, 2)
 
 
 def _clashes(structure: Structure, x: Floats) -> Integers:

@@ -43,8 +43,8 @@ def slots() -> dict[tuple[str, str], int]:
     found: dict[tuple[str, str], int] = {}
     for residue in TYPES:
         first = dict.fromkeys(("N", "CA", "C", "O"))
-        its = first | dict.fromkeys(name for row in norms() if row.residue == residue for name in row.atoms)
-        found |= {(residue, name): place for place, name in enumerate(its)}
+        names = first | dict.fromkeys(name for row in norms() if row.residue == residue for name in row.atoms)
+        found |= {(residue, name): place for place, name in enumerate(names)}
     return found
 
 
@@ -89,10 +89,10 @@ def places(structure: Structure) -> tuple[Integers, Integers]:
     residue = structure.atom_residue
     heavy = np.flatnonzero((structure.atom_element != "H") & (kind[residue] >= 0))
     table = slots()
-    for atom, its, name in zip(
+    for atom, r, name in zip(
         heavy.tolist(), residue[heavy].tolist(), structure.atom_name[heavy].tolist(), strict=True
     ):
-        place = table.get((names[its], name))
+        place = table.get((names[r], name))
         if place is not None:
-            at[its, place] = atom
+            at[r, place] = atom
     return read_only(at, np.int64), read_only(kind, np.int64)

@@ -181,10 +181,10 @@ class Interface(Value):
 
     def record(self) -> dict[str, Any]:
         """Flat row: structure, sides, scores, and the residues of either side in contact, as ``A5,A8``."""
-        its = self.residues[self.residues["contacts"] > 0]
-        names = its["chain"] + its["residue"]
+        touching = self.residues[self.residues["contacts"] > 0]
+        names = touching["chain"] + touching["residue"]
         row = {"structure": self.structure.name, "interface": self.name, **self.scores}
-        return row | {key: ",".join(names[its["side"] == k]) for k, key in enumerate(RESIDUES, 1)}
+        return row | {key: ",".join(names[touching["side"] == k]) for k, key in enumerate(RESIDUES, 1)}
 
     def __repr__(self) -> str:
         its = self.scores
@@ -267,10 +267,10 @@ def score_interface(
 
 def native(energy: Energy) -> NativeEnergy:
     """The energy by the native engine, as that alone tells terms."""
-    found = native_of(energy)
-    if found is None:
+    by_kernels = native_of(energy)
+    if by_kernels is None:
         raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")
-    return found
+    return by_kernels
 
 
 def scored(
@@ -290,14 +290,14 @@ def scored(
         _energetic(structure, energy, parts), buried, _touching(structure, touching),
         _bonded(structure, parts, *areas),
     )  # fmt: skip
-    found: dict[str, Any] = {**_confidences(structure, parts, touching, given)}
-    for each in made:
-        found |= each.scores
-    found |= _makeup(structure, parts, touching, found)
-    bound, area, n = found["energy_kj_mol"], found["buried_area_angstrom2"], len(np.unique(touching))
-    found["energy_per_area_kj_mol_nm2"] = bound / area * ANGSTROM_PER_NM**2 if area else None
-    found["energy_per_residue_kj_mol"] = bound / n if n else None
-    scores = {key: found[key] for key in (*SCORES, *MAKEUP, *CONFIDENCES)}
+    values: dict[str, Any] = {**_confidences(structure, parts, touching, given)}
+    for part in made:
+        values |= part.scores
+    values |= _makeup(structure, parts, touching, values)
+    bound, area, n = values["energy_kj_mol"], values["buried_area_angstrom2"], len(np.unique(touching))
+    values["energy_per_area_kj_mol_nm2"] = bound / area * ANGSTROM_PER_NM**2 if area else None
+    values["energy_per_residue_kj_mol"] = bound / n if n else None
+    scores = {key: values[key] for key in (*SCORES, *MAKEUP, *CONFIDENCES)}
     scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
     columns = {
         "side": np.where(parts[0], 1, 2), "chain": structure.residue_chain,
@@ -421,12 +421,12 @@ def _across(parts: Sequence[NDArray[np.bool_]], pairs: Integers) -> NDArray[np.b
     return np.asarray((a[i] & b[j]) | (b[i] & a[j]))
 
 
-def _within(x: Floats, mine: NDArray[np.bool_], its: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _within(x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(na,) bool: atoms of one mask that are near one of the other."""
-    found = np.zeros(len(x), dtype=bool)
-    if mine.any() and its.any():
-        found[mine] = cKDTree(x[its]).query(x[mine], distance_upper_bound=_NEAR)[0] < _NEAR
-    return found
+    near = np.zeros(len(x), dtype=bool)
+    if one.any() and other.any():
+        near[one] = cKDTree(x[other]).query(x[one], distance_upper_bound=_NEAR)[0] < _NEAR
+    return near
 
 
 def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -438,8 +438,8 @@ def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_
         return together, alone
     around = [_within(x, side, near) for side, near in zip((one, other), changing, strict=True)]
     whole = to_mdtraj(structure)
-    for side, its in zip(changing, around, strict=True):
-        alone[side] = _area(whole, its)[side]
+    for side, near_side in zip(changing, around, strict=True):
+        alone[side] = _area(whole, near_side)[side]
     both = changing[0] | changing[1]
     together[both] = _area(whole, around[0] | around[1])[both]
     return together, np.maximum(alone - together, 0.0)
@@ -449,22 +449,22 @@ def _area(whole: Any, some: NDArray[np.bool_]) -> Floats:
     """(na,) float, angstrom^2: accessible areas of some atoms of a trajectory without the others."""
     import mdtraj
 
-    found, atoms = np.zeros(len(some)), np.flatnonzero(some)
+    areas, atoms = np.zeros(len(some)), np.flatnonzero(some)
     # Of two atoms in one place, for which mdtraj ends the process, one has the area.
     doubled = cKDTree(whole.xyz[0][atoms]).query_pairs(_ONE_PLACE, output_type="ndarray")[:, 1]
     atoms = np.delete(atoms, doubled)
-    own = mdtraj.shrake_rupley(whole.atom_slice(atoms), _PROBE, _POINTS)[0]
-    found[atoms] = ANGSTROM_PER_NM**2 * own
-    return found
+    accessible = mdtraj.shrake_rupley(whole.atom_slice(atoms), _PROBE, _POINTS)[0]
+    areas[atoms] = ANGSTROM_PER_NM**2 * accessible
+    return areas
 
 
 def _parents(structure: Structure) -> Integers:
     """(na,) int: of a hydrogen the atom that bears it, of others themselves."""
-    is_h, own = structure.atom_element == "H", np.arange(structure.n_atoms)
+    is_h, parents = structure.atom_element == "H", np.arange(structure.n_atoms)
     ends = both_ways(structure.bonds)
     ends = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
-    own[ends[:, 0]] = ends[:, 1]
-    return own
+    parents[ends[:, 0]] = ends[:, 1]
+    return parents
 
 
 def _polar(structure: Structure) -> NDArray[np.bool_]:
@@ -474,12 +474,12 @@ def _polar(structure: Structure) -> NDArray[np.bool_]:
 
 def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: Integers) -> Integers:
     """(n,) int: N and O, accessible without the other side, that it buries, and without a bond."""
-    own, n, element = _parents(structure), structure.n_atoms, structure.atom_element
-    hydrogens = np.bincount(own, minlength=n) - 1
+    parents, n, element = _parents(structure), structure.n_atoms, structure.atom_element
+    hydrogens = np.bincount(parents, minlength=n) - 1
     degree = np.bincount(structure.bonds.ravel(), minlength=n)
     # A nitrogen with three bonds and no hydrogen, as of proline, neither gives nor takes.
     can = (element == "O") | ((element == "N") & ((hydrogens > 0) | (degree < 3)))
-    left, before = np.bincount(own, together, n), np.bincount(own, together + lost, n)
+    left, before = np.bincount(parents, together, n), np.bincount(parents, together + lost, n)
     can &= (left < _HIDDEN) & (before >= _HIDDEN)
     can[bonds[:, [0, 2]]] = False
     return np.flatnonzero(can)
@@ -496,19 +496,17 @@ def _confidences(
     # Some programs write shares.
     scale = 100.0 if np.nanmax(per_residue, initial=0.0) <= 1.0 else 1.0
     near, plddt = _near_betas(structure, parts), scale * structure.b_factor
-    found: dict[str, float | None] = {
+    values: dict[str, float | None] = {
         **dict.fromkeys(CONFIDENCES),
         "interface_plddt": scale * float(per_residue[np.unique(touching)].mean()) if len(touching) else None,
         "pdockq": _docking(_DOCKQ, plddt, near, np.log10(max(len(near), 1))),
     }
     if given is None or structure.origin is None:
-        return found
+        return values
     atoms = structure.origin.atoms
     chains = [*dict.fromkeys(atom.split("/", 1)[0] for atom in atoms)]
-    found["iptm"] = given.between(
-        chains, *({*structure.residue_chain[part].tolist()} for part in parts)
-    )  # fmt: skip
-    return found | _of_errors(structure, parts, near, plddt, given.pae, given.tokens(atoms))
+    values["iptm"] = given.between(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
+    return values | _of_errors(structure, parts, near, plddt, given.pae, given.tokens(atoms))
 
 
 def _of_errors(
@@ -560,7 +558,7 @@ def _near_betas(structure: Structure, parts: Sides) -> Integers:
     atoms = [np.flatnonzero(beta & part[of]) for part in parts]
     if not all(map(len, atoms)):
         return np.empty((0, 2), dtype=np.int64)
-    one, other = (cKDTree(structure.positions[its]) for its in atoms)
+    one, other = (cKDTree(structure.positions[side]) for side in atoms)
     pairs = one.sparse_distance_matrix(other, _DOCKQ_REACH, output_type="ndarray")
     return np.column_stack([atoms[0][pairs["i"]], atoms[1][pairs["j"]]])
 

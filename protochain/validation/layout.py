@@ -43,13 +43,13 @@ def layout(structure: Structure) -> Layout:
         np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE
     ]
     amino = np.all(backbone, axis=0)
-    own = np.flatnonzero(amino[of])
-    names = structure.atom_name[own]
+    of_amino = np.flatnonzero(amino[of])
+    names = structure.atom_name[of_amino]
     atom: dict[str, Integers] = {}
     for name in np.unique(names).tolist():
         index = np.full(n, NONE)
-        its = own[names == name]
-        index[of[its]] = its
+        named = of_amino[names == name]
+        index[of[named]] = named
         atom[name] = read_only(index, np.int64)
     before, after = np.full(n, NONE), np.full(n, NONE)
     ends = both_ways(structure.bonds)
@@ -63,19 +63,19 @@ def layout(structure: Structure) -> Layout:
 
 def dihedrals(x: Floats, atoms: Integers) -> Floats:
     """Dihedrals (n,), degrees, -180 to 180, of atoms (n, 4) at x (na, 3), with the sign of IUPAC-IUB."""
-    found = np.degrees(dihedral(*x[atoms.T]))
-    return np.where((atoms == NONE).any(axis=1), np.nan, found)
+    angles = np.degrees(dihedral(*x[atoms.T]))
+    return np.where((atoms == NONE).any(axis=1), np.nan, angles)
 
 
 @at_positions
 def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:
     """phi, psi, and omega of the bond before each residue (nr,), in degrees; NaN where there is none."""
-    found = layout(structure)
-    own = found.atoms("N", "CA", "C")
-    before, after = own[found.before], own[found.after]
-    before[found.before == NONE], after[found.after == NONE] = NONE, NONE
+    amino = layout(structure)
+    backbone = amino.atoms("N", "CA", "C")
+    before, after = backbone[amino.before], backbone[amino.after]
+    before[amino.before == NONE], after[amino.after == NONE] = NONE, NONE
     phi, psi, omega = (
         read_only(dihedrals(x, np.column_stack(atoms)))
-        for atoms in ((before[:, 2], own), (own, after[:, 0]), (before[:, 1:], own[:, :2]))
+        for atoms in ((before[:, 2], backbone), (backbone, after[:, 0]), (before[:, 1:], backbone[:, :2]))
     )
     return phi, psi, omega

@@ -147,8 +147,8 @@ def sdf_properties(
 ) -> list[dict[str, str]]:
     """Fields of the SDF record of each ligand at the end of a run; see :func:`protochain.save_ligands`."""
     fields = []
-    for found, (rmsd, _) in zip(findings_of(structure, x)[0], motion.tolist(), strict=True):
-        strain = "" if found.strain_kj_mol is None else f"{found.strain_kj_mol:.3f}"
+    for ligand, (rmsd, _) in zip(findings_of(structure, x)[0], motion.tolist(), strict=True):
+        strain = "" if ligand.strain_kj_mol is None else f"{ligand.strain_kj_mol:.3f}"
         values = {"energy_kj_mol": f"{energy:.3f}", "strain_kj_mol": strain, "rmsd_angstrom": f"{rmsd:.4f}"}
         fields.append({f"protochain_{key}": value for key, value in {**values, "status": status}.items()})
     return fields
@@ -174,28 +174,28 @@ def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
 @at_positions
 def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
     """Strain of each ligand in kJ/mol, which takes two minimisations; None where there is none."""
-    found = [
-        strain(each.ligand.parameters, x[each.atoms], each.ligand.molecule.elements)
-        for each in structure.ligands
+    strains = [
+        strain(ligand.ligand.parameters, x[ligand.atoms], ligand.ligand.molecule.elements)
+        for ligand in structure.ligands
     ]
-    return tuple(value if np.isfinite(value) else None for value in found)
+    return tuple(value if np.isfinite(value) else None for value in strains)
 
 
 def _inverted(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
     """Stereocentres, and ends of double bonds, by their places in the molecule."""
-    its = bound.atoms[bound.ligand.molecule.heavy]
-    return inverted_atoms(bound.ligand.molecule, np.where(its[:, None] < 0, np.nan, x[its]))
+    heavy = bound.atoms[bound.ligand.molecule.heavy]
+    return inverted_atoms(bound.ligand.molecule, np.where(heavy[:, None] < 0, np.nan, x[heavy]))
 
 
 def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: double bonds that at x (na, 3), nm, are E for their source's Z, or Z for E."""
-    found = [
-        each.atoms[list(atoms)].tolist()
-        for each in (*structure.ligands, *structure.fragments)
-        for atoms in _inverted(each, x)
+    bonds = [
+        molecule.atoms[list(atoms)].tolist()
+        for molecule in (*structure.ligands, *structure.fragments)
+        for atoms in _inverted(molecule, x)
         if len(atoms) == 2
     ]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    return np.array(bonds, dtype=np.int64).reshape(-1, 2)
 
 
 def double_bonds_named(structure: Structure, pairs: Integers) -> list[str]:
@@ -217,11 +217,11 @@ def _posebusters(structure: Structure, bound: BoundLigand, x: Floats) -> dict[st
 def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
     """Heavy atoms near a ligand, or all if none is, as RDKit's molecule without bonds."""
     chem = library("rdkit.Chem")
-    there = structure.atom_element != "H"
-    there[bound.atoms] = False
+    outside = structure.atom_element != "H"
+    outside[bound.atoms] = False
     far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
-    near = there & ~far
-    used = np.flatnonzero(near if near.any() else there).tolist()
+    near = outside & ~far
+    used = np.flatnonzero(near if near.any() else outside).tolist()
     made, conformer = chem.RWMol(), chem.Conformer(len(used))
     for number, k in enumerate(used):
         atom = chem.Atom(str(structure.atom_element[k]))
@@ -253,16 +253,16 @@ def findings_of(
     """Find out about each ligand at positions; also why PoseBusters' tests were not run, though asked for."""
     if not structure.ligands or not np.isfinite(x).all():
         return (), ""
-    found = ligand_findings(structure, x, clashes(structure, x))
-    return with_posebusters(structure, x, found) if posebusters else (found, "")
+    findings = ligand_findings(structure, x, clashes(structure, x))
+    return with_posebusters(structure, x, findings) if posebusters else (findings, "")
 
 
 def at_both_ends(start: LigandFound, end: LigandFound, motion: Floats) -> dict[str, Any]:
     """Flat row of a ligand at the start and the end of a run, with its row of ``ligand_motion``."""
     noted = {key: value for key, value in start.record().items() if key not in start.measures()}
     for key in start.measures():
-        for when, found in (("start", start), ("end", end)):
-            noted[_at(key, when)] = found.measures()[key]
+        for when, ligand in (("start", start), ("end", end)):
+            noted[_at(key, when)] = ligand.measures()[key]
     return noted | dict(zip(MOTION, map(float, motion), strict=True))
 
 

@@ -77,8 +77,8 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     lDDT: Mariani, Biasini, Barbato, Schwede, Bioinformatics 29:2722 (2013). Each distance of the reference
     below 15 angstrom between atoms of different residues counts once.
     """
-    found = match(reference, structure)
-    atoms, own, twin = _correspondence(structure, reference, found)
+    matched = match(reference, structure)
+    atoms, own, twin = _correspondence(structure, reference, matched)
     place = ANGSTROM_PER_NM * reference.positions[atoms]
     residue = reference.atom_residue[atoms]
     pairs = _near(place, residue)
@@ -86,21 +86,21 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     kept = _kept(structure, place, pairs, own)
     of_residue = means_by(residue[pairs].ravel(), np.repeat(kept, 2), reference.n_residues)
     lddt = np.full(structure.n_residues, np.nan)
-    lddt[found.model] = of_residue[found.reference]
+    lddt[matched.model] = of_residue[matched.reference]
     alpha = reference.atom_name[atoms] == "CA"
     of_alphas = alpha[pairs].all(axis=1)
     there, ours, theirs = own != NONE, structure.positions[own], reference.positions[atoms]
-    score = tm_score(reference, structure, found)
+    score = tm_score(reference, structure, matched)
     values = {
         "lddt": _mean(kept),
         "lddt_ca": _mean(kept[of_alphas]),
         "tm_score": score,
         "ca_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there & alpha], theirs[there & alpha]),
         "heavy_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there], theirs[there]),
-        "matched_percent": 100.0 * found.coverage,
+        "matched_percent": 100.0 * matched.coverage,
     }
     plain = {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
-    return Likeness(plain, lddt, found)
+    return Likeness(plain, lddt, matched)
 
 
 def _correspondence(
@@ -120,9 +120,9 @@ def _correspondence(
 
     def named(names: NDArray[np.str_]) -> Integers:
         at = np.full(len(atoms), NONE)
-        for each in np.unique(names).tolist():
-            its = names == each
-            at[its] = ours.atoms(each)[residue[its], 0]
+        for name in np.unique(names).tolist():
+            its = names == name
+            at[its] = ours.atoms(name)[residue[its], 0]
         at[(residue == NONE) | absent[at]] = NONE
         return at
 

@@ -64,7 +64,7 @@ def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
     # Equation 3 of Altona and Sundaralingam.
     across = (nu[4] + nu[1] - nu[3] - nu[0]) / (2.0 * np.sin(np.deg2rad([36.0, 72.0])).sum())
     phase, amplitude = np.rad2deg(np.arctan2(across, nu[2])) % 360.0, np.hypot(across, nu[2])
-    far = np.array([_from_glycosidic_bond(structure, x, at, r) for r in whole])
+    far = np.array([_from_glycosidic_bond(x, at, r) for r in whole])
     contradicts = np.isfinite(far) & ((far < _PERPENDICULAR) == (delta <= _MIDDLE))
     outlier = (delta < _LEAST) | (delta > _MOST) | contradicts
     pairs = _pairs(structure, x, at)
@@ -91,10 +91,10 @@ def nucleotide_rows(structure: Structure, found: Nucleotides) -> list[dict[str, 
 def _atoms(structure: Structure) -> dict[int, dict[str, int]]:
     """Heavy atoms of each nucleotide, by name."""
     of = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
-    found: dict[int, dict[str, int]] = {}
+    atoms: dict[int, dict[str, int]] = {}
     for k in np.flatnonzero(of & (structure.atom_element != "H")).tolist():
-        found.setdefault(int(structure.atom_residue[k]), {})[str(structure.atom_name[k])] = k
-    return found
+        atoms.setdefault(int(structure.atom_residue[k]), {})[str(structure.atom_name[k])] = k
+    return atoms
 
 
 def _torsions(
@@ -105,16 +105,14 @@ def _torsions(
     return dihedrals(x, atoms)
 
 
-def _from_glycosidic_bond(
-    structure: Structure, x: Floats, at: dict[int, dict[str, int]], residue: int
-) -> float:
+def _from_glycosidic_bond(x: Floats, at: dict[int, dict[str, int]], residue: int) -> float:
     """Angstrom from the phosphate after a ribose to the line of its glycosidic bond; NaN of others."""
-    its, after = at[residue], at.get(residue + 1, {})
-    base = next((its[name] for name in ("N9", "N1") if name in its), None)
-    if "O2'" not in its or base is None or "P" not in after:
+    atoms, after = at[residue], at.get(residue + 1, {})
+    base = next((atoms[name] for name in ("N9", "N1") if name in atoms), None)
+    if "O2'" not in atoms or base is None or "P" not in after:
         return np.nan
-    out, to = x[base] - x[its["C1'"]], x[after["P"]] - x[its["C1'"]]
-    if np.linalg.norm(x[after["P"]] - x[its["O3'"]]) > _BONDED:
+    out, to = x[base] - x[atoms["C1'"]], x[after["P"]] - x[atoms["C1'"]]
+    if np.linalg.norm(x[after["P"]] - x[atoms["O3'"]]) > _BONDED:
         return np.nan
     return ANGSTROM_PER_NM * float(np.linalg.norm(np.cross(out, to)) / np.linalg.norm(out))
 
@@ -125,8 +123,8 @@ _BONDED = 0.25
 
 def _pairs(structure: Structure, x: Floats, at: dict[int, dict[str, int]]) -> Integers | None:
     # A molecule of any kind may bear a nucleotide's name: a base is bonded to a sugar by a nitrogen.
-    bases = [its for its in at.values() if "C1'" in its and its.keys() & {"N1", "N9"}]
-    atoms = [k for its in bases for k in its.values()]
+    bases = [atoms_of for atoms_of in at.values() if "C1'" in atoms_of and atoms_of.keys() & {"N1", "N9"}]
+    atoms = [k for atoms_of in bases for k in atoms_of.values()]
     if not atoms:
         return np.empty((0, 2), dtype=np.int64)
     try:

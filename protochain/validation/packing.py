@@ -45,13 +45,13 @@ def _around(x: Floats, reach: float) -> Floats:
     n = int(reach / GRID) + 1
     steps = np.stack(np.meshgrid(*[np.arange(-n, n + 1)] * 3), axis=-1).reshape(-1, 3)
     steps = steps[np.sum((GRID * steps) ** 2, axis=1) <= reach**2]
-    own = np.rint(x / GRID).astype(np.int64)
-    low = own.min(axis=0, initial=0) - n
-    shape = tuple((own.max(axis=0, initial=0) - low + n + 1).tolist())
+    nearest = np.rint(x / GRID).astype(np.int64)
+    low = nearest.min(axis=0, initial=0) - n
+    shape = tuple((nearest.max(axis=0, initial=0) - low + n + 1).tolist())
     row = np.array([shape[1] * shape[2], shape[2], 1])
-    there = np.zeros(shape, dtype=bool)
-    there.ravel()[((own - low) @ row)[:, None] + steps @ row] = True
-    return GRID * (np.argwhere(there) + low)
+    occupied = np.zeros(shape, dtype=bool)
+    occupied.ravel()[((nearest - low) @ row)[:, None] + steps @ row] = True
+    return GRID * (np.argwhere(occupied) + low)
 
 
 def _outside(points: Floats, x: Floats, radius: Floats, most: float) -> Floats:

@@ -84,7 +84,7 @@ class Validation(Value):
         """
         import pandas as pd
 
-        return pd.DataFrame([each.record() for each in self.ligands], columns=LIGAND_COLUMNS)
+        return pd.DataFrame([ligand.record() for ligand in self.ligands], columns=LIGAND_COLUMNS)
 
     @property
     def nucleotide_table(self) -> "pd.DataFrame":
@@ -104,7 +104,7 @@ class Validation(Value):
     def added(self) -> str:
         """What preparation added to the file, in words; empty if nothing."""
         heavy = self.residues["atoms_added"]
-        noted = [str(each) for each in self.structure.repairs if each.kind is Kind.HYDROGENS_ADDED]
+        noted = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
             atoms = counted(int(heavy.sum()), "heavy atom")
             residues = counted(int((heavy > 0).sum()), "residue")

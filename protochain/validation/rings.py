@@ -85,9 +85,9 @@ def _threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
     which, bonds = _near(structure, x)
     if not len(which):
         return ()
-    every, (own, row) = rings(structure), np.unique(which, return_inverse=True)
-    triangles = np.zeros((len(own), LARGEST, 3, 3))  # those of no size are crossed by nothing
-    for k, ring in enumerate(own.tolist()):
+    every, (indices, row) = rings(structure), np.unique(which, return_inverse=True)
+    triangles = np.zeros((len(indices), LARGEST, 3, 3))  # those of no size are crossed by nothing
+    for k, ring in enumerate(indices.tolist()):
         corners = x[list(every[ring])]
         spanned = _fan(corners) if len(corners) <= _SMALL else corners[_least_area(corners)]
         triangles[k, : len(spanned)] = spanned
@@ -105,19 +105,19 @@ def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     heavy = (structure.atom_element != "H")[structure.bonds].all(axis=1)
     bonds = structure.bonds[heavy]
     inside = of[bonds[:, 0]] == of[bonds[:, 1]]
-    found: list[tuple[int, ...]] = []
+    cycles: list[tuple[int, ...]] = []
     n = structure.n_residues
     atoms = np.bincount(of[structure.atom_element != "H"], minlength=n)
     edges = np.bincount(of[bonds[inside, 0]], minlength=n)
     # As many bonds as atoms: a ring. Molecules in several pieces would have fewer bonds.
     start = np.searchsorted(of, np.arange(n))
-    its = bonds[inside]
+    inner = bonds[inside]
     for residue in np.flatnonzero(edges >= atoms).tolist():
-        own = its[of[its[:, 0]] == residue] - start[residue]
-        local = _cycles(tuple(map(tuple, own.tolist())))
-        found += [tuple(int(start[residue]) + atom for atom in ring) for ring in local]
-    found += _closed(structure, bonds, bonds[~inside])
-    return tuple(sorted(found))
+        bonded = inner[of[inner[:, 0]] == residue] - start[residue]
+        local = _cycles(tuple(map(tuple, bonded.tolist())))
+        cycles += [tuple(int(start[residue]) + atom for atom in ring) for ring in local]
+    cycles += _closed(structure, bonds, bonds[~inside])
+    return tuple(sorted(cycles))
 
 
 def _closed(structure: Structure, bonds: Integers, between: Integers) -> list[tuple[int, ...]]:
@@ -162,12 +162,12 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
 
 @of_atoms
 def _barred(structure: Structure) -> tuple[frozenset[int], ...]:
-    """Atoms of each ring, and of all residues of a ring of several: their bonds do not go through it."""
-    of, found = structure.atom_residue, []
+    """Atoms of each ring, and of all r of a ring of several: their bonds do not go through it."""
+    of, barred = structure.atom_residue, []
     for ring in rings(structure):
-        its = np.unique(of[list(ring)])
-        found.append(frozenset(ring if len(its) == 1 else np.flatnonzero(np.isin(of, its)).tolist()))
-    return tuple(found)
+        r = np.unique(of[list(ring)])
+        barred.append(frozenset(ring if len(r) == 1 else np.flatnonzero(np.isin(of, r)).tolist()))
+    return tuple(barred)
 
 
 def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
@@ -217,14 +217,14 @@ def _least_area(corners: Floats) -> Integers:
             total = cost[i, k] + cost[k, j] + area
             best[i, j] = k[np.argmin(total)]
             cost[i, j] = total.min()
-    found, ahead = [], [(0, n - 1)]
+    triangles, ahead = [], [(0, n - 1)]
     while ahead:
         first, last = ahead.pop()
         if last - first > 1:
             middle = int(best[first, last])
-            found.append((first, middle, last))
+            triangles.append((first, middle, last))
             ahead += [(first, middle), (middle, last)]
-    return read_only(found, np.int64)
+    return read_only(triangles, np.int64)
 
 
 def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
@@ -240,9 +240,9 @@ def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]
 
 def _named(structure: Structure, atoms: tuple[int, ...], bond: tuple[int, int]) -> ThreadedRing:
     of, name = structure.atom_residue, structure.atom_name
-    its = list(dict.fromkeys(of[list(atoms)].tolist()))
-    if len(its) == 1:
-        ring = f"the ring {'-'.join(name[list(atoms)].tolist())} of {structure.describe_residue(its[0])}"
+    residues = list(dict.fromkeys(of[list(atoms)].tolist()))
+    if len(residues) == 1:
+        ring = f"the ring {'-'.join(name[list(atoms)].tolist())} of {structure.describe_residue(residues[0])}"
     else:
         first, last = structure.describe(atoms[0]), structure.describe(atoms[-1])
         ring = f"the ring of {len(atoms)} atoms that the bond between {first} and {last} closes"

@@ -55,15 +55,15 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     name, distance = np.zeros(n, dtype="U8"), np.full(n, np.nan)
     kinds, quadruples = _dihedrals(structure)
     chis = iter(dihedrals(x, quadruples))
-    for kind, its in kinds:
+    for kind, residues in kinds:
         names, usual = rotamers_of(kind)
-        chi = np.fromiter(chis, float, usual.shape[1] * len(its)).reshape(len(its), -1)
-        chi *= np.where(mirrored[its], -1.0, 1.0)[:, None]
+        chi = np.fromiter(chis, float, usual.shape[1] * len(residues)).reshape(len(residues), -1)
+        chi *= np.where(mirrored[residues], -1.0, 1.0)[:, None]
         period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
         period[-1] = 180.0 if kind in SYMMETRIC else 360.0
         limit[-1] = _WIDE.get(kind, limit[-1])
         off = (np.abs((chi[:, None] - usual + period / 2) % period - period / 2) / limit).max(axis=2)
-        name[its], distance[its] = names[off.argmin(axis=1)], off.min(axis=1)
+        name[residues], distance[residues] = names[off.argmin(axis=1)], off.min(axis=1)
     residue = np.flatnonzero(np.isfinite(distance))
     return SideChains(residue, name[residue], distance[residue])
 
@@ -88,13 +88,13 @@ def _library() -> dict[str, list[tuple[str, list[float]]]]:
 @of_atoms
 def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Integers]:
     """Name and residues (n,) of each kind with rotamers; atoms (m, 4) of the dihedrals of all, in order."""
-    found = layout(structure)
+    amino = layout(structure)
     kinds, quadruples = [], [np.zeros((0, 4), dtype=np.int64)]
-    for name in sorted(CHI.keys() & set(structure.residue_name[found.amino].tolist())):
-        its = np.flatnonzero(found.amino & (structure.residue_name == name))
+    for name in sorted(CHI.keys() & set(structure.residue_name[amino.amino].tolist())):
+        residues = np.flatnonzero(amino.amino & (structure.residue_name == name))
         n_chi = rotamers_of(name)[1].shape[1]
-        atoms = np.stack([found.atoms(*names)[its] for names in CHI[name][:n_chi]], axis=1)
+        atoms = np.stack([amino.atoms(*names)[residues] for names in CHI[name][:n_chi]], axis=1)
         whole = (atoms != NONE).all(axis=(1, 2))
-        kinds.append((name, its[whole]))
+        kinds.append((name, residues[whole]))
         quadruples.append(atoms[whole].reshape(-1, 4))
     return kinds, np.concatenate(quadruples)

@@ -49,18 +49,11 @@ class Strain(Value):
     n_angles: int
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
-        """Describe each bond and angle in a line.
-
-        Parameters
-        ----------
-        structure : Structure
-        x : (na, 3) float, nm, optional
-            The positions measured; by default the structure's own.
-        """
+        """Describe each bond and angle in a line, at the positions measured: x (na, 3), nm, or its own."""
         x = structure.positions if x is None else x
         lengths = ANGSTROM_PER_NM * distance(*x[self.bonds.T])
         degrees = np.degrees(angle(*x[self.angles.T]))
-        found = [
+        lines = [
             f"bond of {structure.describe(i)} and {structure.describe(j)} is {value:.2f} angstrom long, "
             f"{by:+.1f} standard deviations"
             for (i, j), value, by in zip(
@@ -72,8 +65,8 @@ class Strain(Value):
         ):
             name = "-".join(structure.atom_name[atoms].tolist())
             where = structure.describe_residue(int(structure.atom_residue[atoms[1]]))
-            found.append(f"angle {name} of {where} is {value:.0f} degrees, {by:+.1f} standard deviations")
-        return found
+            lines.append(f"angle {name} of {where} is {value:.0f} degrees, {by:+.1f} standard deviations")
+        return lines
 
 
 def strain(structure: Structure, x: Floats | None = None) -> Strain:
@@ -130,13 +123,13 @@ class _Terms:
 @of_atoms
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
-    found = []
+    terms = []
     for atoms in (bonds, triples):
-        own = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
-        known = np.isfinite(own).all(axis=1)
+        values = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
+        known = np.isfinite(values).all(axis=1)
         known &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
-        found += [atoms[known], own[known]]
-    return _Terms(*found)
+        terms += [atoms[known], values[known]]
+    return _Terms(*terms)
 
 
 def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
@@ -173,10 +166,10 @@ def _types(structure: Structure) -> list[str]:
 
 @cache
 def _by_residue() -> Mapping[str, list[Template]]:
-    found: dict[str, list[Template]] = {}
+    by_name: dict[str, list[Template]] = {}
     for template in templates().values():
-        found.setdefault(standard_name(template.name)[0], []).append(template)
-    return found
+        by_name.setdefault(standard_name(template.name)[0], []).append(template)
+    return by_name
 
 
 @lru_cache(maxsize=1024)
@@ -194,12 +187,12 @@ def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
 def _parameters(*files: Path) -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
     """Equilibrium values of bonds and angles, nm and rad, with their thermal widths, by atom types."""
     roots = [ElementTree.parse(file).getroot() for file in files]
-    found: list[dict[tuple[str, ...], tuple[float, float]]] = []
+    tables: list[dict[tuple[str, ...], tuple[float, float]]] = []
     for path, value, n in (("HarmonicBondForce/Bond", "length", 2), ("HarmonicAngleForce/Angle", "angle", 3)):
         table: dict[tuple[str, ...], tuple[float, float]] = {}
         for node in (node for root in roots for node in root.iterfind(path)):
             types = tuple(node.get(f"type{k + 1}", "") for k in range(n))
             norm = float(node.get(value, "nan")), float(np.sqrt(_THERMAL / float(node.get("k", "nan"))))
             table[types] = table[types[::-1]] = norm
-        found.append(table)
-    return tuple(found)
+        tables.append(table)
+    return tuple(tables)

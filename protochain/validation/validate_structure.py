@@ -78,17 +78,17 @@ def validate(source: Any, reference: Any = None, posebusters: bool = False, **se
     """
     posebusters = flag(posebusters, "posebusters")
     structure = as_structure(source, **settings)
-    found = Found(structure, structure.positions)
-    values, table = found.measures(), found.table()
+    findings = Found(structure, structure.positions)
+    values, table = findings.measures(), findings.table()
     mapping: str | None = None
     if reference is not None:
         alike = likeness(structure, measurable(reference))
         values |= alike.measures
         mapping = alike.match.chain_mapping
         table["lddt"] = alike.lddt[table.index]
-    ligands, why = found.ligands, ""
+    ligands, why = findings.ligands, ""
     if posebusters:
         ligands, why = with_posebusters(structure, structure.positions, ligands)
     return Validation(
-        structure, values, table, found.violations, tuple(found.listing()), mapping, ligands, why
+        structure, values, table, findings.violations, tuple(findings.listing()), mapping, ligands, why
     )

@@ -104,17 +104,13 @@ class Violations(Value):
             (len(self.within), "distance within a residue", "distances within residues"),
             (len(self.covalent), "covalent bond of a wrong length", "covalent bonds of a wrong length"),
         )
-        parts = ", ".join(counted(*each) for each in counts if each[0])
+        parts = ", ".join(counted(*count) for count in counts if count[0])
         return f"violations in {counted(len(self.residues), 'residue')}: {parts}"
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
         """Describe each violation in a line: peptide bonds, angles, clashes, distances, covalent bonds.
 
-        Parameters
-        ----------
-        structure : Structure
-        x : (na, 3) float, nm, optional
-            The positions measured; by default the structure's own.
+        The positions measured are x (na, 3), nm, by default the structure's own.
         """
         x = structure.positions if x is None else x
         covalent = [f"covalent bond: {line}" for line in bond_lines(structure, x, self.covalent)]
@@ -126,7 +122,7 @@ class Violations(Value):
         for triple, value in zip(angles.tolist(), degrees.tolist(), strict=True):
             name = "-".join(structure.atom_name[triple].tolist())
             ends = sorted({int(structure.atom_residue[atom]) for atom in triple})
-            where = " and ".join(structure.describe_residue(each) for each in ends)
+            where = " and ".join(structure.describe_residue(residue) for residue in ends)
             bent.append(f"angle: {name} of {where} is {value:.0f} degrees")
         bonds, clashes, within = (
             [
@@ -179,14 +175,14 @@ def _violations(structure: Structure, x: Floats) -> Violations:
     wrong = wrong_bonds(structure, x)
     covalent = wrong[~structure.obstacle[wrong].all(axis=1)]
     x = ANGSTROM_PER_NM * x
-    found = [
+    violating = [
         read_only(atoms, np.int64)
         for atoms in (*_connections(structure, x), _clashes(structure, x), _within(structure, x), covalent)
     ]
     concerned = np.zeros(structure.n_residues, dtype=bool)
-    for atoms in found:
+    for atoms in violating:
         concerned[structure.atom_residue[atoms]] = True
-    bonds, ca_c_n, c_n_ca, clashes, within, covalent = found
+    bonds, ca_c_n, c_n_ca, clashes, within, covalent = violating
     return Violations(bonds, ca_c_n, c_n_ca, clashes, within, covalent, read_only(concerned, np.bool_))
 
 
@@ -280,9 +276,9 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     pairs = np.unique(np.vstack([bonded, np.column_stack([here, here + 1])]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     joints = np.column_stack([at[pairs[:, 0]][:, [_CA, _C]], at[pairs[:, 1]][:, [_N, _CA]]])
-    there = (joints >= 0).all(axis=1)
+    complete = (joints >= 0).all(axis=1)
     proline = kind[pairs[:, 1]] == TYPES.index("PRO")
-    return read_only(joints[there], np.int64), read_only(proline[there], np.bool_)
+    return read_only(joints[complete], np.int64), read_only(proline[complete], np.bool_)
 
 
 def _as_number(text: str) -> float:
