@@ -40,9 +40,7 @@ def _remade(kind: type, *values: Any) -> Any:
 
 def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     """Return a contiguous read-only copy."""
-    frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
-    frozen.flags.writeable = False
-    return frozen
+    return frozen(np.array(array, dtype=dtype, order="C"))
 
 
 def frozen(array: Floats) -> Floats:

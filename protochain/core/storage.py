@@ -80,26 +80,22 @@ def writing(path: Path) -> Iterator[None]:
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written."""
     with writing(path):
-        _write_atomically(path, write)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Libraries take the format and the packing of a file from the end of its name.
+        suffix = path.suffix if len(os.fsencode(path.suffix)) < _LONG_SUFFIX else ""
+        # The system itself refuses to replace a folder.
+        temporary = (path if path.is_dir() else regular(path)).with_name(f"{temporary_stem()}.part{suffix}")
+        try:
+            temporary.touch(exist_ok=False)
+            write(temporary)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write text atomically, as UTF-8; of names that are none, other bytes as ``repr`` has them."""
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8", errors="backslashreplace"))
-
-
-def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Libraries take the format and the packing of a file from the end of its name.
-    suffix = path.suffix if len(os.fsencode(path.suffix)) < _LONG_SUFFIX else ""
-    # The system itself refuses to replace a folder.
-    temporary = (path if path.is_dir() else regular(path)).with_name(f"{temporary_stem()}.part{suffix}")
-    try:
-        temporary.touch(exist_ok=False)
-        write(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 _LONG_SUFFIX = 100

@@ -7,11 +7,9 @@ and pairs of which either has half: half of these, and what is within a residue,
 """
 
 import re
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -152,12 +150,9 @@ def energy_terms(
         decomposition = _between(decomposition, parts)
     if by == "term":
         return _with_total(pd.DataFrame([decomposition.terms], index=["whole"]))
-    named = pd.DataFrame(
-        {
-            "chain": structure.residue_chain, "name": structure.residue_name,
-            "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
-        }
-    )[["chain", "residue", "name"]]  # fmt: skip
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    columns = {"chain": structure.residue_chain, "residue": number, "name": structure.residue_name}
+    named = pd.DataFrame(columns)
     if by == "residue":
         return _with_total(named.join(pd.DataFrame(decomposition.shares.T, columns=TERMS)))
     first, second = np.nonzero(decomposition.pairs.any(axis=0))
@@ -258,37 +253,6 @@ def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[
     # pairs one by one would take longer than the run.
     native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
-
-
-class TermsAtEnds:
-    """Terms of the energy of a result, whose class says of what structure; its end is ``x``."""
-
-    energy_function: Energy
-    x: Floats
-
-    @property
-    @abstractmethod
-    def _began(self) -> Structure:
-        """Structure at the start."""
-
-    @property
-    def terms_start(self) -> dict[str, float]:
-        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
-
-        Empty where the energy is a callable, or a System that the native engine cannot compute; and of more
-        than 20,000 atoms.
-        """
-        return self._terms[1]
-
-    @property
-    def terms_end(self) -> dict[str, float]:
-        """Energy of each term at the end, kJ/mol."""
-        return self._terms[0]
-
-    @cached_property
-    def _terms(self) -> tuple[dict[str, float], ...]:
-        # The end first: Born radii there may be those of the last evaluation.
-        return terms_at(self.energy_function, self._began, self.x, self._began.positions)
 
 
 def interaction(

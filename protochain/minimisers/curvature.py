@@ -98,11 +98,14 @@ def near_terms(energy: Energy) -> NearTerms | None:
     NearTerms or None
         None if nothing is known of its terms, as of a callable; the metric is then that of springs.
     """
-    known: Any = energy
-    terms = getattr(known, "terms", None)
-    if terms is None:
-        terms = None if getattr(energy, "system", None) is None else _read(known)
+    terms = terms_of(energy)
     return None if terms is None else _near(terms)
+
+
+def terms_of(energy: Any) -> Terms | None:
+    """Terms of an energy as arrays; None if they are not known, as of a callable."""
+    terms: Terms | None = getattr(energy, "terms", None)
+    return _read(energy) if terms is None and getattr(energy, "system", None) is not None else terms
 
 
 @lru_cache(maxsize=4)

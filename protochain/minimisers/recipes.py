@@ -158,10 +158,8 @@ class Recipe:
     def moves_masses(self) -> bool:
         """Whether bodies move in proportion to their masses: a fixed root would be one of infinite mass."""
         methods: list[Any] = [run.method for run in self.runs]
-        metrics = [getattr(getattr(each, "direction", each), "metric", None) for each in methods]
-        return any(isinstance(each, Annealing) for each in methods) or any(
-            isinstance(each, Mass) for each in metrics
-        )
+        metrics = [getattr(getattr(method, "direction", method), "metric", None) for method in methods]
+        return any(isinstance(part, Annealing | Mass) for part in (*methods, *metrics))
 
     def repeats_exactly(self, energy: Energy) -> bool:
         """Whether runs from one start are equal bit for bit.

@@ -1,6 +1,7 @@
 """Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
 
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,7 @@ from protochain.results import columns
 from protochain.results.columns import Column, largest
 from protochain.validation.findings import MEASURES, REMAINS
 
-
-def _structure(solution: Any) -> Any:
-    return solution.chain.structure
-
+_structure = attrgetter("chain.structure")
 
 LIGANDS = (
     Column("ligand_rmsd_angstrom", lambda r: largest(r.ligand_motion[:, 0]), "ligand RMSD", width=6),

@@ -1,6 +1,7 @@
 """Result of a minimisation: final structure, trace, and a record for tables and JSON."""
 
 import warnings
+from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +18,7 @@ from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
-from protochain.energies.decomposed import TermsAtEnds
+from protochain.energies.decomposed import terms_at
 from protochain.energies.protocol import Energy
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import COLUMNS
@@ -147,10 +148,37 @@ class _Made:
         vars(instance)[self.name] = value
 
 
-class RunEnds(TermsAtEnds, ViolationsAtEnd, Value):
-    """What the results of runs share: measures of start and end, and the motion between them."""
+class RunEnds(ViolationsAtEnd, Value):
+    """What the results of runs share: terms and measures of start and end, and the motion between them."""
 
+    energy_function: Energy
     frame: Frame
+    x: Floats
+
+    @property
+    @abstractmethod
+    def _structure_at_start(self) -> Structure:
+        """Structure at the start."""
+
+    @property
+    def terms_start(self) -> dict[str, float]:
+        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
+
+        Empty where the energy is a callable, or a System that the native engine cannot compute; and of more
+        than 20,000 atoms.
+        """
+        return self._terms[1]
+
+    @property
+    def terms_end(self) -> dict[str, float]:
+        """Energy of each term at the end, kJ/mol."""
+        return self._terms[0]
+
+    @cached_property
+    def _terms(self) -> tuple[dict[str, float], ...]:
+        # The end first: Born radii there may be those of the last evaluation.
+        start = self._structure_at_start
+        return terms_at(self.energy_function, start, self.x, start.positions)
 
     @cached_property
     def displacements(self) -> "pd.DataFrame":
@@ -158,23 +186,24 @@ class RunEnds(TermsAtEnds, ViolationsAtEnd, Value):
 
         Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
         """
-        away = displacements(self._began, self.x, self._began.positions)
-        return alpha_residues(self._began).assign(displacement_angstrom=away)
+        start = self._structure_at_start
+        away = displacements(start, self.x, start.positions)
+        return alpha_residues(start).assign(displacement_angstrom=away)
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:
         """What is wrong with the start: :func:`protochain.validation.measures`."""
-        return measures(self._began)
+        return measures(self._structure_at_start)
 
     @cached_property
     def measures_end(self) -> dict[str, Any]:
         """What is wrong with the end."""
-        return measures(self._began, self.x)
+        return measures(self._structure_at_start, self.x)
 
     @cached_property
     def remains_end(self) -> dict[str, list[str]]:
         """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
-        return remains(self._began, self.x)
+        return remains(self._structure_at_start, self.x)
 
     @cached_property
     def ligand_motion(self) -> Floats:
@@ -287,7 +316,7 @@ class Solution(RunEnds):
         return self.chain.structure.with_positions(self.x)
 
     @property
-    def _began(self) -> Structure:
+    def _structure_at_start(self) -> Structure:
         return self.chain.structure
 
     @property

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from protochain.chains.restraint_list import RestraintValue
@@ -18,11 +19,7 @@ from protochain.validation.interface import SCORES
 from protochain.validation.ligands import LigandFound, at_both_ends
 
 METHOD = "relax"
-
-
-def _start(relaxation: Any) -> Any:
-    return relaxation.start
-
+_start = attrgetter("start")
 
 COLUMNS = (
     Column("structure", lambda r: r.start.name),

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from protochain.chains.contacts import near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import StructureError
-from protochain.energies import Energy, NativeEnergy, UnsupportedForceError
+from protochain.energies import Energy
 from protochain.energies import energy as energy_of
 from protochain.energies.native.terms import Terms, compile_system
+from protochain.minimisers.curvature import terms_of
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import Rotamers, rotamers_of
 from protochain.structure.molecule.model import Structure
@@ -87,14 +88,8 @@ def _checked(structure: Structure, residues: Iterable[int]) -> Integers:
 
 def _terms(structure: Structure, given: Energy | None) -> Terms:
     """Terms of an energy, or of the default force field where that has none that can be taken apart."""
-    if isinstance(given, NativeEnergy):
-        return given.terms
-    if given is not None and given.system is not None:
-        try:
-            return compile_system(given.system)
-        except UnsupportedForceError:
-            pass
-    return compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
+    terms = terms_of(given)
+    return terms or compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
 
 
 def _settled(

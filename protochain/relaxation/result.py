@@ -150,7 +150,7 @@ class Relaxation(RunEnds):
         )  # fmt: skip
 
     @property
-    def _began(self) -> Structure:
+    def _structure_at_start(self) -> Structure:
         return self.start
 
     @cached_property

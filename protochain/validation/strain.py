@@ -152,16 +152,13 @@ def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
 def _types(structure: Structure) -> list[str]:
     """Atom types of the force field; empty where it has none."""
     nucleotide = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
-    beside = (structure.kept & ~nucleotide).tolist()
-    names: list[list[str]] = [[] for _ in range(structure.n_residues)]
-    residue = structure.atom_residue.tolist()
-    for atom, name in enumerate(structure.atom_name.tolist()):
-        names[residue[atom]].append("" if beside[atom] else name)
-    found: list[str] = []
-    for residue_name, its in zip(structure.residue_name.tolist(), names, strict=True):
-        types = _residue_types(residue_name, tuple(its))
-        found += [types.get(name, "") for name in its]
-    return found
+    names = np.where(structure.kept & ~nucleotide, "", structure.atom_name)
+    first = np.searchsorted(structure.atom_residue, np.arange(1, structure.n_residues))
+    types: list[str] = []
+    for residue, atoms in zip(structure.residue_name.tolist(), np.split(names, first), strict=True):
+        by_name = _residue_types(residue, tuple(atoms.tolist()))
+        types += [by_name.get(name, "") for name in atoms.tolist()]
+    return types
 
 
 @cache

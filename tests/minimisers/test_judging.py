@@ -81,7 +81,7 @@ def test_a_call_that_did_not_end_has_been_nowhere(monkeypatch):
     evaluation = energy._evaluation
     assert evaluation.was_at(x) and not evaluation.was_at(x + 0.01)
     # Helpers, of other energies too, look for work a little longer.
-    monkeypatch.setattr("protochain.energies.native.evaluation.work", lambda leads, *_: leads and 1 / 0)
+    monkeypatch.setattr("protochain.energies.native.tasks.work", lambda leads, *_: leads and 1 / 0)
     with pytest.raises(ZeroDivisionError):
         energy(x)
     assert not evaluation.was_at(x)

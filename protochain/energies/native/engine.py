@@ -93,14 +93,11 @@ class NativeEnergy:
         if self.opening is not None:
             text += "; far pairs by a tree"
         if self.errors:
-            error = f"{self.errors[0]:.2g}" + (
-                f", at last by {self.errors[-1]:.2g}" if self.errors[1:] else ""
-            )
+            error = ", at last by ".join(f"{error:.2g}" for error in self.errors)
             text += f", forces differ by {error} kJ/mol/nm RMS from those of all pairs"
         if self.left_out:
-            text += "; constant in this chain: " + ", ".join(
-                f"{n} {kind}" for kind, n in self.left_out.items()
-            )
+            constant = ", ".join(f"{n} {kind}" for kind, n in self.left_out.items())
+            text += f"; constant in this chain: {constant}"
         return f"{text}; {self.by_openmm.note}" if self.by_openmm.note else text
 
     @property
