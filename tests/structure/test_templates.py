@@ -179,7 +179,12 @@ def test_a_draft_knows_its_residues_and_stated_bonds():
     assert draft.members == [first, second] and [part.cyclic for part in draft.parts] == [False, False]
     a, b, c = ("A", "1", "C"), ("A", "2", "N"), ("B", "1", "C")
     draft.stated.append((a, b))
-    assert draft.states(a, b) and draft.states(b, a) and not draft.states(a, c) and not draft.states(c, b)
+    assert (
+        draft.has_bond(a, b)
+        and draft.has_bond(b, a)
+        and not draft.has_bond(a, c)
+        and not draft.has_bond(c, b)
+    )
     carbon = second.atom("CA")
     assert carbon.pos.tolist() == [1.0, 2.0, 3.0] and carbon.b_iso == 4.0 and carbon.element.name == "C"
     assert second.atom("CB") is None and atom("H", "H", [0.0] * 3).b_iso == 0.0

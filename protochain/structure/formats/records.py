@@ -76,20 +76,21 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
         for k, mod in enumerate(structure.mod_residues, 1)
         if mod.res_id.seqid.num is not None
     ]  # fmt: skip
-    own = tables.of_remarks(lines.get("REMARK", ()))
+    ours = lines.get("REMARK", ())
+    own = tables.of_remarks(ours) if ours else []
     return _text(
         {
             "_chem_comp.": [
                 {"id": _quoted(name), "name": _quoted(_joined(stated))} for name, stated in names.items()
             ],
-            "_chem_comp_bond.": list(_drawn(structure, tables.known(own))),
+            "_chem_comp_bond.": list(_drawn(structure, tables.known(own) if own else set())),
             tables.CATEGORY: own,
             _MODIFIED: mods,
             "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
             if remarks
             else [],
             **_journal(lines.get("JRNL", ())),
-            CATEGORY: of_remarks(lines.get("REMARK", ())),
+            CATEGORY: of_remarks(ours) if ours else [],
             "_ma_qa_metric.": _PLDDT if "PARENT" in lines and "PFRMAT" not in lines else [],
         }
     )
