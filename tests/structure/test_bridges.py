@@ -15,7 +15,7 @@ from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import fragments
 from protochain.structure.preparation.choose import likeliest, same_place
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.kept import Candidate, check_words, report_kept, water_named
 from protochain.structure.preparation.prepare import run
 from protochain.structure.preparation.recognise import by_element
@@ -270,7 +270,7 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
     assert kinds(draft) == [Kind.KEPT, *([] if bonded else 2 * [Kind.PHOSPHATE])]
     assert all((each.atom("P") is not None) is bonded for each in (first, second))
-    assert all(each.own is None for each in (first, second, water, last))
+    assert all(each.template is None for each in (first, second, water, last))
 
 
 def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
@@ -294,8 +294,8 @@ def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_e
         ([second], False),
         ([third], True),
     ]
-    assert (first.own, third.own) == (None, None)
-    assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
+    assert (first.template, third.template) == (None, None)
+    assert second.template.element == {"P": "P", "O3'": "O", "CX": "C"}
     assert [[a.name for a in each.links] for each in (first, second, third)] == [["O3'"], [], ["P"]]
     assert first.atom("P") and third.atom("P")
     (stays,) = (each for each in draft.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
@@ -309,11 +309,11 @@ def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
     ):  # fmt: skip
         residue = member(name, 1, *((atom_name, float(k)) for k, atom_name in enumerate(atoms)))
         kept_of(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
-        assert (residue.own is None) is fits, (name, atoms)
+        assert (residue.template is None) is fits, (name, atoms)
     known = {"LIG": template("LIG", "OP1")}
     residue = member("LIG", 1, ("O1P", 0.0))
     kept_of(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
-    assert residue.own is None
+    assert residue.template is None
 
 
 def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
@@ -360,7 +360,9 @@ def test_waters_of_the_tables_get_the_name_of_water(given, name):
 def beside(*parts):
     """A cysteine, a histidine and an aspartate, and molecules beside them."""
     return Draft(
-        "x", "x", [Part("A", [*parts[0]]), *(Part("B", [each], obstacle=True) for each in parts[1:])]
+        "x",
+        "x",
+        [Part("A", [*parts[0]]), *(Part("B", [each], Evidence.ELEMENTS) for each in parts[1:])],
     )
 
 
@@ -418,7 +420,7 @@ def sugar(*extra):
     ring = {"C1": (0, 0, 0), "C2": (-0.5, 1.44, 0), "O5": (-0.48, -0.68, 1.16), "C5": (-1.9, -0.7, 1.2)}
     atoms = [atom(name, name[0], list(map(float, x))) for name, x in ring.items()]
     made = Member("NAG", "5", "", "B", [*atoms, *(atom(name, name[0], list(x)) for name, x in extra)])
-    made.own = by_element(made)
+    made.source = by_element(made)
     return made
 
 

@@ -10,7 +10,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.preparation import complete as module
 from protochain.structure.preparation.complete import add_heavy_atoms
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.prepare import run
 from protochain.structure.sidechains.sites import Site
 
@@ -97,11 +97,17 @@ def test_the_second_oxygen_needs_an_angle(angle, possible):
 def test_residues_and_atoms_without_parameters_are_named():
     hydroxyproline = (glycine(1), member("HYP", 2, *BACKBONE, "CB"), glycine(3))
     for refusal, words in (
-        (refused(member("LIG", 1, "C"), obstacle=True), "residue 1 LIG of chain A: the force field has no"),
+        (
+            refused(member("LIG", 1, "C"), evidence=Evidence.ELEMENTS),
+            "residue 1 LIG of chain A: the force field has no",
+        ),
         (refused(glycine(1), member("LIG", 2, "C")), "at the end of a chain"),
         (refused(glycine(1), glycine(2, "HQ", "OXT", "CX", "CY")), "atom CX does not belong to GLY"),
         (refused(*hydroxyproline), "residue 2 HYP of chain A: atom CD missing"),
-        (refused(member("HOH", 1, "H1"), obstacle=True), "residue 1 HOH of chain A: atom O missing"),
+        (
+            refused(member("HOH", 1, "H1"), evidence=Evidence.ELEMENTS),
+            "residue 1 HOH of chain A: atom O missing",
+        ),
         (refused(member("ACE", 4, "C", "CH3"), *serines()), "residue 4 ACE of chain A: atom O missing"),
     ):
         assert words in refusal
@@ -268,7 +274,7 @@ def test_the_oxygens_of_an_end_have_room():
     # An atom there leaves room elsewhere, for both; a hydrogen does not count.
     for element, moves in (("C", True), ("H", False)):
         other = Member("LIG", "9", "", "B", [atom("X", element, (1.5 * free).tolist())])
-        draft = Draft("x", "x", [part, Part("B", [other], obstacle=True)])
+        draft = Draft("x", "x", [part, Part("B", [other], evidence=Evidence.ELEMENTS)])
         found = module._oxygen(draft, part, 0)
         assert bool(np.linalg.norm(found - free) > 0.5) is moves
         opposite = found * [1.0, -1.0, -1.0]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
+from fixtures.samples import ROOT
 
 import protochain as pc
 from protochain.core.arrays import read_only
@@ -12,7 +13,7 @@ from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.preparation import prepare as module
-from protochain.structure.preparation.draft import Candidate, Draft, Omission, Part, Reading
+from protochain.structure.preparation.draft import Candidate, Draft, Evidence, Omission, Part, Reading, Role
 from protochain.structure.preparation.prepare import PASSES
 from protochain.structure.write import as_gemmi
 
@@ -43,7 +44,9 @@ def member(name, number, *atoms, chain="A"):
 
 def of_members(*members, beside=()):
     """A draft of one chain, and molecules beside it."""
-    return Draft("x", "x", [Part("A", [*members]), *(Part("B", [each], obstacle=True) for each in beside)])
+    return Draft(
+        "x", "x", [Part("A", [*members]), *(Part("B", [each], Evidence.ELEMENTS) for each in beside)]
+    )
 
 
 def placed_runs(*sequences, apart):
@@ -265,7 +268,7 @@ def test_a_draft_without_a_chain_is_refused():
 
 
 def test_a_small_molecule_without_chemistry_stays_in_place_and_one_with_it_moves():
-    unknown = Part("B", [member("QQQ", 9, ("C1", "C", 3.0), ("C2", "C", 4.5))], obstacle=True, is_small=True)
+    unknown = Part("B", [member("QQQ", 9, ("C1", "C", 3.0), ("C2", "C", 4.5))], evidence=Evidence.SMALL)
     draft = Draft("x", "x", [unknown])
     (told,) = module.parametrise_ligands(draft)
     assert told.kind is Kind.STAYS_UNKNOWN and not unknown.mobile
@@ -281,17 +284,26 @@ def test_ligands_that_move_get_templates_and_hydrogens_at_carbon_and_others_lose
     parts = [
         Part(
             "B", [member("MOH", 9, *((names[k], symbols[k], float("nan")) for k in order))],
-            obstacle=True, mobile=mobile, ligand=ligand,
+            evidence=evidence, ligand=ligand,
         )
-        for mobile in (True, False)
+        for evidence in (Evidence.CHEMISTRY, Evidence.BONDED)
     ]  # fmt: skip
     draft = Draft("x", "x", parts)
     (told,) = module.take_ligands(draft)
     assert told.kind is Kind.BOUND and told.facts["charge"] == "+0"
-    assert parts[1].ligand is None and parts[0].members[0].own.hydrogens.keys() == {"C1", "O1"}
+    assert parts[1].ligand is None and parts[0].members[0].template.hydrogens.keys() == {"C1", "O1"}
     assert not [*module.put_hydrogens(draft)]
     at = {a.name: a.pos.tolist() for a in parts[0].members[0].atoms}
     assert at["H1"] == pytest.approx(10.0 * x[names.index("H1")]) and np.isnan(at["H4"][0])
+
+
+def test_the_table_of_evidence_is_that_of_the_code_and_the_role_decides_what_moves():
+    rows = [f"| `{each.name}` | {each.role.value} | {each.value[1]} |" for each in Evidence]
+    assert "\n".join(rows) in (ROOT / "CONTRIBUTING.md").read_text()
+    for each in Evidence:
+        part = Part("A", [], each)
+        assert part.obstacle == (each.role is not Role.PROTEIN)
+        assert part.mobile == (each.role in (Role.NUCLEIC, Role.GLYCAN, Role.FLEXIBLE))
 
 
 def test_every_pass_has_a_test():

@@ -12,7 +12,7 @@ from protochain.cli.options import as_option
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import EVERYTHING, Kind, Repair, summarised
 from protochain.structure.molecule.residues import Residue
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 
 
 def residue(name, number, occupancies):
@@ -40,7 +40,7 @@ def ring_and_acceptors(*places):
         way = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ outward[donor]
         at = radius * outward[donor] + 3.0 * way
         water = Member("HOH", "2", "", "A", [atom("O", "O", at.tolist())])
-        parts.append(Part("A", [water], obstacle=True))
+        parts.append(Part("A", [water], evidence=Evidence.ELEMENTS))
     return Draft("made", "made", parts)
 
 

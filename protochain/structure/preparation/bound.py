@@ -31,7 +31,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.draft import Changes, Charging, Chemistry, Draft, Part
+from protochain.structure.preparation.draft import Changes, Charging, Chemistry, Draft, Evidence, Part
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
@@ -99,7 +99,8 @@ class Chemist:
             yield Repair.of(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             yield from self._charge_as_known(name, member)
             return
-        part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
+        part.inverted, part.posed = at.inverted, name in self.chemistry.posed
+        part.evidence = Evidence.CHEMISTRY
 
     def _charge_as_known(self, name: str, member: Member) -> Changes:
         """Give an inorganic ion that stays in place the dictionary's charges, unless the file has charges."""
@@ -281,7 +282,7 @@ def parametrise_ligands(draft: Draft) -> Changes:
     """Let the small molecules move whose chemistry is known."""
     chemist = Chemist(draft)
     for part in draft.parts:
-        if part.is_small:
+        if part.evidence is Evidence.SMALL:
             yield from chemist.settle(part)
 
 
@@ -294,7 +295,7 @@ def take_ligands(draft: Draft) -> Changes:
             continue
         (member,), molecule = part.members, part.ligand.molecule
         its, metals = member.residue, charged_metals(member, member.given or member.name, molecule.names)
-        member.own = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
+        member.source = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
         charge |= {a.name: a.charge for a in metals}
         for each in member.atoms:

@@ -76,7 +76,7 @@ def add_heavy_atoms(draft: Draft) -> Changes:
         yield Repair.of(Kind.ATOMS_RENAMED, changes=tuple(renamed))
     of_chains = [m for part in draft.parts if not part.obstacle for m in part.members]
     # Those with a source of their own are told by it; a D-amino acid's may be of its mirror image.
-    if inverted := inverted_atoms([m for m in of_chains if m.own is None or m.is_d]):
+    if inverted := inverted_atoms([m for m in of_chains if m.template is None or m.is_d]):
         yield Repair.of(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
     yield from _rebuild(draft, lacking)
     for member in open_ended:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,22 +129,65 @@ class Candidate:
         return "nucleic" if self.member.name in residues.NUCLEOTIDES else "ligands"
 
 
+class Role(Enum):
+    """What a molecule is, and so whether it moves."""
+
+    PROTEIN = "protein"
+    NUCLEIC = "nucleic"  # A strand, which moves.
+    GLYCAN = "glycan"  # It moves with the residue that bears it.
+    FLEXIBLE = "flexible"  # Another molecule that moves.
+    FIXED = "fixed"
+    TIED = "tied"  # Fixed, though its parameters are known: it is bonded to another molecule.
+
+
+class Evidence(Enum):
+    """What is known of a molecule; each pass that learns more replaces it. The value is the role it gives."""
+
+    CHAIN = Role.PROTEIN, "amino acids that are bonded to one another"
+    NUCLEOTIDES = Role.NUCLEIC, "the force field has every nucleotide of the strand"
+    SUGARS = Role.GLYCAN, "GLYCAM-06j has its sugar and its bonds"
+    USERS_TEMPLATE = Role.FLEXIBLE, "the user's force field has it"
+    CHEMISTRY = Role.FLEXIBLE, "a source has its chemistry, the force field of small molecules its parameters"
+    FRAGMENT = Role.FLEXIBLE, "the same, of residues that bonds join to others"
+    BUNDLED_TEMPLATE = Role.FIXED, "a water or an ion of the force field"
+    SMALL = Role.FIXED, "a small molecule whose chemistry is not looked up yet"
+    ELEMENTS = Role.FIXED, "no parameters: by its elements"
+    BONDED = Role.TIED, "springs hold it to another molecule"
+
+    @property
+    def role(self) -> Role:
+        """Role of a molecule of which this is known."""
+        return self.value[0]
+
+
 @dataclass(eq=False)
 class Part:
     """Unbroken chain, or a molecule kept with the protein."""
 
     chain_id: str
     members: list[Member]
-    obstacle: bool = False  # Whether it is kept with the protein: fixed, unless it is mobile.
-    # Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
-    mobile: bool = False
+    evidence: Evidence = Evidence.CHAIN  # What is known of it, which gives its role.
     ligand: Ligand | None = None  # Chemistry and parameters of such a ligand, under the names of its atoms.
     # Its stereocentres, and double bonds, that the file has the other way round.
     inverted: tuple[str, ...] = ()
     posed: bool = False  # Whether it is a pose that was added.
     cyclic: bool = False  # Whether the last residue is bonded to the first.
-    glycan: str = ""  # GLYCAM's code of a sugar of a glycan that moves.
-    is_small: bool = False  # Whether it is a small molecule that no force field has.
+    glycam_code: str = ""  # Of a sugar of a glycan that moves.
+
+    @property
+    def role(self) -> Role:
+        """What it is, by what is known of it."""
+        return self.evidence.role
+
+    @property
+    def obstacle(self) -> bool:
+        """Whether it is kept with the protein: fixed, unless it is mobile."""
+        return self.role is not Role.PROTEIN
+
+    @property
+    def mobile(self) -> bool:
+        """Whether it is kept with the protein, and moves."""
+        return self.role in (Role.NUCLEIC, Role.GLYCAN, Role.FLEXIBLE)
 
     @property
     def is_strand(self) -> bool:
@@ -159,8 +203,8 @@ class Part:
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
         member = self.members[i]
-        if member.own is not None:
-            return member.own
+        if member.template is not None:
+            return member.template
         name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
         # An end that is bonded to a molecule outside the chain is none.
         linked = {atom.name for atom in member.links}

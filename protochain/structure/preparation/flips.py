@@ -154,7 +154,7 @@ def _is_free_amide(member: Member) -> bool:
     """Whether it is an amide of the file that shows no hydrogens, and is bonded to nothing else."""
     names = _TURNING.get(member.name, ())
     ends = [a for a in member.atoms if a.name in (*names, *_AXIS.get(member.name, ()))]
-    if len(names) != 2 or len(ends) != 4 or member.own is not None:
+    if len(names) != 2 or len(ends) != 4 or member.template is not None:
         return False
     hydrogens = {f"H{names[1][1:]}{k}" for k in (1, 2)}
     bonded = {a.name for a in (*member.links, *member.metals)}

@@ -26,7 +26,7 @@ from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
 from protochain.structure.preparation.bound import Chemist, charged_metals, report_metals, template_of
 from protochain.structure.preparation.capped import Maker, Place
-from protochain.structure.preparation.draft import Changes, Draft, Fragment, Part, losses
+from protochain.structure.preparation.draft import Changes, Draft, Evidence, Fragment, Part, losses
 from protochain.structure.preparation.kept import cut
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.preparation.parents import convert_to_parent
@@ -75,12 +75,12 @@ def assign_chemistry(draft: Draft) -> Changes:
             if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
                 raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
             for m in around:
-                where[id(m)].part.is_small = False
-                where[id(m)].part.mobile &= m.odd
-                if m.odd:
+                if not (m.is_unknown and where[id(m)].part.mobile):
+                    where[id(m)].part.evidence = Evidence.ELEMENTS
+                if m.is_unknown:
                     yield Repair.of(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
                     still.append(m)
-            unknown += [(m, error) for m in members if m.odd and not m.parent and m not in still]
+            unknown += [(m, error) for m in members if m.is_unknown and not m.parent and m not in still]
             yield from _refuse_or_tie(draft, own, error)
             why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
             for m in (m for m in members if m.parent):
@@ -112,14 +112,14 @@ def _special(
         for m, a, other, its in _both_ways(link):
             is_amine = a.name == "N" and not _is_acyl(chemist, other, its.name)
             ends.setdefault(id(m), set()).add("amine" if is_amine else a.name)
-    for m in (m for m in draft.members if m.odd):
+    for m in (m for m in draft.members if m.is_unknown):
         after, graph = where[id(m)].after, _graph(chemist, m)
         # The nitrogen after a C with single bonds is an amine.
         if after and graph and {graph.order("C", x) for x in graph.near("C")} == {1}:
             ends.setdefault(id(after), set()).add("amine")
     return [
         m for m in draft.members
-        if m.odd or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
+        if m.is_unknown or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
     ]  # fmt: skip
 
 
@@ -141,7 +141,7 @@ def _groups(
         if where[id(m)].part.obstacle:
             # Joined as usual, no term has changed atoms of both.
             is_usual = before and before.atom("O3'") and all(map(m.atom, ("P", "OP1", "OP2", "O5'")))
-            wide = [before] if before and before.odd and not is_usual else []
+            wide = [before] if before and before.is_unknown and not is_usual else []
         elif (before or after) and (graph := _graph(chemist, m)) and not graph.backbone(""):
             wide = [before, after]
         pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
@@ -156,7 +156,7 @@ def _between(draft: Draft) -> Iterator[Link]:
     for link in stated_beside(draft):
         (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
         if (
-            link.atom.element.is_metal or link.is_metal or (one.glycan and other.glycan)
+            link.atom.element.is_metal or link.is_metal or (one.glycam_code and other.glycam_code)
             or min(len(link.member.atoms), len(link.other.atoms)) == 1
             or (one is other and names == {"O3'", "P"})
         ):  # fmt: skip
@@ -178,7 +178,7 @@ def _believe(links: Iterable[Link]) -> Generator[Repair, None, list[Link]]:
 def _is_whole(at: Place, member: Member, ends: set[str]) -> bool:
     """Whether a template fits a residue of a chain all the same: its bond goes on where the chain ends."""
     open_ends = {name for name, other in (("N", at.before), ("C", at.after)) if other is None}
-    return not at.part.obstacle and ends <= open_ends and not member.odd
+    return not at.part.obstacle and ends <= open_ends and not member.is_unknown
 
 
 def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.Atom]]:
@@ -299,7 +299,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     parts = {id(m): part for part in draft.parts for m in part.members}
     formal, wrong = made.ligand.molecule.formal_charges.tolist(), _inverted(made)
     for m, template in found.values():
-        m.own = template
+        m.source = template
         charge = sum(q for (owner, _), q in zip(made.owners, formal, strict=True) if owner is m)
         charge += sum(a.charge for a in metals[id(m)])
         source = chemist.free(m).source
@@ -308,8 +308,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
             yield Repair.of(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
-            parts[id(m)].mobile, parts[id(m)].is_small = True, False
-        m.odd, m.parent = False, ""
+            parts[id(m)].evidence = Evidence.FRAGMENT
         if chemist.name(m) in chemist.chemistry.named:
             # The file written has to give the same chemistry again.
             draft.header = with_component(draft.header, tables.rows(chemist.name(m), chemist.free(m)))
@@ -340,9 +339,9 @@ def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
 
 def _back(chemist: Chemist, member: Member, name: str, gone: Collection[tuple[Member, str]]) -> list[str]:
     """Hydrogens that leave an atom and that the charge of an amine brings back."""
-    if member.own is None or (graph := _graph(chemist, member)) is None:
+    if member.template is None or (graph := _graph(chemist, member)) is None:
         return []
-    light, now = graph.light(name), member.own.hydrogens.get(name, ())
+    light, now = graph.light(name), member.template.hydrogens.get(name, ())
     leaving = [x for x in light if (member, x) in gone]
     return leaving[: max(len(now) + len(leaving) - len(light), 0)]
 

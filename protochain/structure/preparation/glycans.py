@@ -31,7 +31,7 @@ from protochain.structure.molecule.sugars import (
     sugar_centres,
 )
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
-from protochain.structure.preparation.draft import Changes, Draft, Part, losses
+from protochain.structure.preparation.draft import Changes, Draft, Evidence, Part, losses
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, is_usual
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
@@ -80,9 +80,9 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             yield Repair.of(Kind.SACCHARIDE, residue=mine[0].members[0].residue, **facts)
         for part in mine:
             (member,) = part.members
-            part.glycan, part.mobile = codes[id(member)], True
-            member.own = _template(member, part.glycan)
-            letters = letters_of(part.glycan)
+            part.glycam_code, part.evidence = codes[id(member)], Evidence.SUGARS
+            member.source = _template(member, part.glycam_code)
+            letters = letters_of(part.glycam_code)
             if letters != SUGARS[member.name]:
                 yield Repair.of(Kind.OTHER_ANOMER, residue=member.residue)
             if wrong := (*_inverted(member, letters, own),):

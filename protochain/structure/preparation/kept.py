@@ -18,11 +18,11 @@ from protochain.core.markup import counted, listed
 from protochain.structure.formats.ions import charge_cluster, is_known
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
-from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.member import Member, Unknown
 from protochain.structure.molecule.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
-from protochain.structure.preparation.draft import Candidate, Changes, Draft, Omission, Part, losses
+from protochain.structure.preparation.draft import Candidate, Changes, Draft, Evidence, Omission, Part, losses
 from protochain.structure.preparation.linkage import STATED
 from protochain.structure.preparation.recognise import by_element, recognised
 
@@ -63,7 +63,7 @@ def choose_kept(draft: Draft) -> Changes:
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     # The chemistry of an amino acid in a chain may be given, too.
-    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    of_chains = {member.given or member.name for member in draft.members if member.is_unknown}
     _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     strands = {
@@ -256,25 +256,27 @@ def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | O
         if parts and _is_bonded(parts[-1].members[-1], member):
             parts[-1].members.append(member)
         else:
-            parts.append(Part(member.chain_id, [member], obstacle=True))
+            parts.append(Part(member.chain_id, [member], Evidence.ELEMENTS))
     if parts:
         yield from glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
-    for part in (each for each in parts if not each.glycan):
+    for part in (each for each in parts if not each.glycam_code):
         yield from _trim(part)
     pieces = list[Part]()
     for part in parts:
         pieces += yield from _pieces(part, known, chemistry.has_sage)
     for part in pieces:
         first, whole = part.members[0], [*part.members[0].atoms]
-        if first.own is not None:
+        if first.template is not None:
             continue
         if len(part.members) == 1 and part.is_strand and not first.links:
             first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
         found = [part.template(known, i) for i in range(len(part.members))]
-        fits = all(m.odd or _fits(m, its) for m, its in zip(part.members, found, strict=True))
-        is_users = len(found) == 1 and found[0] is not None and found[0].is_users
-        part.mobile = fits and (is_users or part.is_strand)
-        if not fits:
+        fits = all(m.is_unknown or _fits(m, its) for m, its in zip(part.members, found, strict=True))
+        if fits:
+            is_users = len(found) == 1 and found[0] is not None and found[0].is_users
+            strand = Evidence.NUCLEOTIDES if part.is_strand else Evidence.BUNDLED_TEMPLATE
+            part.evidence = Evidence.USERS_TEMPLATE if is_users else strand
+        else:
             first.atoms = whole
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
@@ -283,15 +285,16 @@ def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | O
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
                 charge_cluster(member.name, member.atoms)
-                member.own = by_element(member)
+                member.source = member.source if member.is_unknown else by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
-                known_as = recognised(first, first.own, users) if first.own else None
-                first.own, part.mobile = known_as or first.own, known_as is not None
-                is_known = part.mobile or first.name in residues.NUCLEOTIDES
                 is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
-                part.is_small = not (is_ion or is_known)
-        elif len(whole) > len(first.atoms):
+                seen = first.template
+                if template := seen and recognised(first, seen, users):
+                    first.source, part.evidence = template, Evidence.USERS_TEMPLATE
+                elif not (is_ion or first.name in residues.NUCLEOTIDES):
+                    part.evidence = Evidence.SMALL
+        if fits and len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
             yield Repair.of(Kind.PHOSPHATE, lost, residue=first.residue)
     return pieces
@@ -315,8 +318,9 @@ def _pieces(part: Part, known: Mapping[str, Template], has_sage: bool) -> Genera
         return [part]
     strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
     for member in strange:
-        member.odd = has_sage and member.name not in residues.NUCLEOTIDES
-    return (yield from cut(part, [member for member in strange if not member.odd]))
+        if has_sage and member.name not in residues.NUCLEOTIDES:
+            member.source = Unknown()
+    return (yield from cut(part, [member for member in strange if not member.is_unknown]))
 
 
 def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
@@ -327,14 +331,14 @@ def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[P
     for i, member in enumerate(part.members):
         moves, before = member not in strange, part.members[i - 1]
         if not i or moves == (before in strange):
-            pieces.append(Part(part.chain_id, [], obstacle=True, mobile=moves))
+            pieces.append(Part(part.chain_id, [], Evidence.NUCLEOTIDES if moves else Evidence.ELEMENTS))
             if i:
                 # Beside it, the strand goes on.
                 one, name = (member, "P") if moves else (before, "O3'")
                 one.links += [atom for atom in one.atoms if atom.name == name]
         pieces[-1].members.append(member)
     for member in strange:
-        member.own, member.odd = by_element(member), False
+        member.source = by_element(member)
     yield Repair.of(
         Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
     )
@@ -363,7 +367,7 @@ def report_kept(draft: Draft) -> Changes:
     its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
     if its:
         counts = Counter("waters" if m.name == "HOH" else m.given or m.name for _, m in its).most_common()
-        bare = {m.given or m.name for part, m in its if m.own and not part.mobile}
+        bare = {m.given or m.name for part, m in its if m.template and not part.mobile}
         facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
         yield Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts)
 

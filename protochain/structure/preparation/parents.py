@@ -29,7 +29,7 @@ def convert_to_parent(draft: Draft, member: Member, why: Why) -> Changes:
     member.atoms = [
         atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
     ]
-    member.name, member.parent, member.state, member.odd = parent, "", "", False
+    member.name, member.state, member.source = parent, "", None
     gone = tuple(a.name for a in strange)
     lost = losses(member, strange, why)
     if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):

@@ -318,7 +318,7 @@ def prepare(draft: Draft) -> Structure:
             )
             for made in draft.fragments
         ),
-        glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
+        glycans={r: part.glycam_code for r, part in enumerate(of_residues) if part.glycam_code},
         origin=Origin(draft.filed, place, charge) if draft.filed and (place >= 0).any() else None,
     )
 

@@ -36,7 +36,7 @@ def protonate(draft: Draft) -> Changes:
         (
             member,
             None
-            if member.name == "HIS" and not states[id(member)] and member.own is None
+            if member.name == "HIS" and not states[id(member)] and member.template is None
             else part.template(known, i, states[id(member)]) or part.template(known, i),
         )
         for part in draft.parts
@@ -69,8 +69,8 @@ def _template(
 ) -> Generator[Repair, None, Template]:
     """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]
-    if member.own is not None:
-        return member.own
+    if member.template is not None:
+        return member.template
     template = part.template(known, i, state)
     usual = part.template(known, i)
     assert usual is not None

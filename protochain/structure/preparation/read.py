@@ -18,7 +18,7 @@ from protochain.structure.formats.apart import refuse_crowds
 from protochain.structure.formats.files import parse, places_in_file
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import WELL_FORMED, handedness
-from protochain.structure.molecule.member import Address, Member, address_of
+from protochain.structure.molecule.member import Address, Member, Unknown, address_of
 from protochain.structure.molecule.repairs import Kind, Repair, Why
 from protochain.structure.molecule.templates import (
     archive_parent,
@@ -158,7 +158,7 @@ def _read_residue(
     template = draft.templates.get(name) if name not in residues.STATE_PARENT else None
     if not (template and {*residues.BACKBONE} <= template.element.keys()):
         # One without a parent may be a ligand, if it stands alone.
-        member.odd, member.parent = True, archive_parent(name)
+        member.source = Unknown(archive_parent(name))
         draft.orphans |= set() if member.parent else {id(member)}
     return member, True
 
@@ -264,7 +264,7 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
     if len(members) == 1:
         if id(members[0]) not in draft.orphans:
             yield Repair.of(Kind.ALONE, residue=members[0].residue)
-        members[0].odd = False
+        members[0].source = None
         draft.beside.append(Candidate(members[0], members[0].name))
     elif members:
         part = Part(members[0].chain_id, members)

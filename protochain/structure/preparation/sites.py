@@ -21,7 +21,7 @@ from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.model import Tie
 from protochain.structure.molecule.repairs import Apart, Count, Kind, Repair
-from protochain.structure.preparation.draft import Changes, Contacts, Draft, Part
+from protochain.structure.preparation.draft import Changes, Contacts, Draft, Evidence, Part
 from protochain.structure.preparation.kept import JOINED
 from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, bonds_and_overlaps
 
@@ -192,7 +192,7 @@ def _settle_mobile(draft: Draft) -> Changes:
     names: Counter[str] = Counter()
     for part in draft.parts:
         is_framed = not part.is_strand and id(part.members[0]) in framed
-        if tree is None or not part.mobile or part.glycan or is_framed:
+        if tree is None or not part.mobile or part.glycam_code or is_framed:
             continue
         # Of a whole molecule near others are no bonds.
         joined = part.ligand is None and not part.is_strand and any(
@@ -200,7 +200,7 @@ def _settle_mobile(draft: Draft) -> Changes:
             for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         )  # fmt: skip
         if joined or (tied if part.ligand is None else bonded) & {id(m) for m in part.members}:
-            part.mobile = False
+            part.evidence = Evidence.BONDED
             yield Repair.of(Kind.STAYS, residue=part.members[0].residue)
         elif part.is_strand:
             first, last = part.members[0].residue, part.members[-1].residue
