@@ -298,7 +298,7 @@ def test_ligands_that_move_get_templates_and_hydrogens_at_carbon_and_others_lose
 
 
 def test_the_table_of_evidence_is_that_of_the_code_and_the_role_decides_what_moves():
-    rows = [f"| `{each.name}` | {each.role.value} | {each.value[1]} |" for each in Evidence]
+    rows = [f"| `{each.name}` | {each.role.value} | {each.reason} |" for each in Evidence]
     assert "\n".join(rows) in (ROOT / "CONTRIBUTING.md").read_text()
     for each in Evidence:
         part = Part("A", [], each)

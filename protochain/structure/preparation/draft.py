@@ -141,7 +141,7 @@ class Role(Enum):
 
 
 class Evidence(Enum):
-    """What is known of a molecule; each pass that learns more replaces it. The value is the role it gives."""
+    """What is known of a molecule, with the role that it gives; each pass that learns more replaces it."""
 
     CHAIN = Role.PROTEIN, "amino acids that are bonded to one another"
     NUCLEOTIDES = Role.NUCLEIC, "the force field has every nucleotide of the strand"
@@ -154,10 +154,8 @@ class Evidence(Enum):
     ELEMENTS = Role.FIXED, "no parameters: by its elements"
     BONDED = Role.TIED, "springs hold it to another molecule"
 
-    @property
-    def role(self) -> Role:
-        """Role of a molecule of which this is known."""
-        return self.value[0]
+    def __init__(self, role: Role, reason: str) -> None:
+        self.role, self.reason = role, reason
 
 
 @dataclass(eq=False)
@@ -175,19 +173,14 @@ class Part:
     glycam_code: str = ""  # Of a sugar of a glycan that moves.
 
     @property
-    def role(self) -> Role:
-        """What it is, by what is known of it."""
-        return self.evidence.role
-
-    @property
     def obstacle(self) -> bool:
         """Whether it is kept with the protein: fixed, unless it is mobile."""
-        return self.role is not Role.PROTEIN
+        return self.evidence.role is not Role.PROTEIN
 
     @property
     def mobile(self) -> bool:
         """Whether it is kept with the protein, and moves."""
-        return self.role in (Role.NUCLEIC, Role.GLYCAN, Role.FLEXIBLE)
+        return self.evidence.role in (Role.NUCLEIC, Role.GLYCAN, Role.FLEXIBLE)
 
     @property
     def is_strand(self) -> bool:
@@ -246,7 +239,7 @@ class Omission(NamedTuple):
     """Molecules or atoms of a file that a pass removes without a repair of their own."""
 
     kind: str
-    count: int
+    number: int
 
 
 Changes = Generator[Repair | Omission, None, None]

@@ -242,7 +242,7 @@ def run(draft: Draft, passes: Sequence[Pass]) -> Draft:
     for step in passes:
         for change in step(draft):
             if isinstance(change, Omission):
-                draft.left_out[change.kind] += change.count
+                draft.left_out[change.kind] += change.number
                 continue
             draft.repairs.append(change)
             for loss in change.lost:
@@ -389,14 +389,14 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
     atoms = []
     templates_of = {id(member): template for member, template in done}
     for part in parts:
-        chain = None
+        chain, is_beside = None, part.obstacle
         for member in part.members:
             if chain is None or chain.id != member.chain_id:
                 chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = _formal_charge(atom, member, templates_of[id(member)], part.obstacle)
+                charge = _formal_charge(atom, member, templates_of[id(member)], is_beside)
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])

@@ -6,7 +6,6 @@ from collections.abc import Generator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import gemmi
 import numpy as np
@@ -112,13 +111,17 @@ def split_chains(draft: Draft) -> Changes:
 
 def _alternates(chain: str, chosen: Conformation) -> list[Repair]:
     """Describe the choice among the alternate locations of a residue."""
-    facts: dict[str, Any] = {"residue": in_file(chain, chosen.residue)}
-    if chosen.others:
-        facts |= {"used": chosen.altloc, "occupancy": chosen.occupancy, "others": tuple(chosen.others)}
-        return [Repair(Kind.ALTERNATES, facts)]
-    if chosen.repeated:
-        return [Repair(Kind.REPEATED, facts | {"atoms": tuple(chosen.repeated)})]
-    return []
+    if not (chosen.others or chosen.repeated):
+        return []
+    residue = in_file(chain, chosen.residue)
+    if not chosen.others:
+        return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(chosen.repeated))]
+    return [
+        Repair.of(
+            Kind.ALTERNATES, residue=residue, used=chosen.altloc, occupancy=chosen.occupancy,
+            others=tuple(chosen.others),
+        )
+    ]  # fmt: skip
 
 
 def _read_residue(
