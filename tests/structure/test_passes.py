@@ -12,10 +12,11 @@ from protochain.core.arrays import read_only
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.preparation import prepare as module
 from protochain.structure.preparation.draft import Candidate, Draft, Evidence, Omission, Part, Reading, Role
 from protochain.structure.preparation.prepare import PASSES
 from protochain.structure.write import as_gemmi
+
+STEPS = {step.__name__: step for step in PASSES}
 
 
 def peptides(*sequences, apart=30.0):
@@ -52,7 +53,7 @@ def of_members(*members, beside=()):
 def placed_runs(*sequences, apart):
     draft = of_file(peptides(*sequences, apart=apart))
     for name in ("choose_altlocs", "split_chains"):
-        [*getattr(module, name)(draft)]
+        [*STEPS[name](draft)]
     return draft
 
 
@@ -145,7 +146,7 @@ def split_chains():
     made[0][0][1].remove_atom("CA", "\0", gemmi.Element("C"))
     made[0][0][1].remove_atom("N", "\0", gemmi.Element("N"))
     draft = of_file(made)
-    [*module.choose_altlocs(draft)]
+    [*STEPS["choose_altlocs"](draft)]
     yield draft, [Kind.NO_BACKBONE, Omission("incomplete residues", 1)]
     assert [[m.seqid for m in run] for run in draft.runs] == [["1"], ["3"]]
 
@@ -156,7 +157,7 @@ def join_chains():
         for each in residue:
             each.pos.y += 20.0
     draft = of_file(made)
-    for step in (module.choose_altlocs, module.split_chains):
+    for step in (STEPS["choose_altlocs"], STEPS["split_chains"]):
         [*step(draft)]
     for each in draft.runs[0]:
         each.atoms = [a for a in each.atoms if a.name != "OXT"]
@@ -250,11 +251,10 @@ CASES = (
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_a_pass_yields_what_it_changes(case):
-    steps = {step.__name__: step for step in PASSES}
     checks = case()
     draft, expected = next(checks)
     before = [*draft.repairs]
-    changes = [*steps[case.__name__](draft)]
+    changes = [*STEPS[case.__name__](draft)]
     assert [each.kind if isinstance(each, Repair) else each for each in changes] == expected
     assert draft.repairs == before
     assert next(checks, None) is None
@@ -264,13 +264,13 @@ def test_a_draft_without_a_chain_is_refused():
     draft = Draft("x", "x")
     draft.beside = [Candidate(member("HOH", 9, ("O", "O", 3.0)), "HOH")]
     with pytest.raises(pc.ProtochainError, match="no protein found, only 1 water; give a file"):
-        module.require_chain(draft)
+        STEPS["require_chain"](draft)
 
 
 def test_a_small_molecule_without_chemistry_stays_in_place_and_one_with_it_moves():
     unknown = Part("B", [member("QQQ", 9, ("C1", "C", 3.0), ("C2", "C", 4.5))], evidence=Evidence.SMALL)
     draft = Draft("x", "x", [unknown])
-    (told,) = module.parametrise_ligands(draft)
+    (told,) = STEPS["parametrise_ligands"](draft)
     assert told.kind is Kind.STAYS_UNKNOWN and not unknown.mobile
 
 
@@ -289,10 +289,10 @@ def test_ligands_that_move_get_templates_and_hydrogens_at_carbon_and_others_lose
         for evidence in (Evidence.CHEMISTRY, Evidence.BONDED)
     ]  # fmt: skip
     draft = Draft("x", "x", parts)
-    (told,) = module.take_ligands(draft)
+    (told,) = STEPS["take_ligands"](draft)
     assert told.kind is Kind.BOUND and told.facts["charge"] == "+0"
     assert parts[1].ligand is None and parts[0].members[0].template.hydrogens.keys() == {"C1", "O1"}
-    assert not [*module.put_hydrogens(draft)]
+    assert not [*STEPS["put_hydrogens"](draft)]
     at = {a.name: a.pos.tolist() for a in parts[0].members[0].atoms}
     assert at["H1"] == pytest.approx(10.0 * x[names.index("H1")]) and np.isnan(at["H4"][0])
 

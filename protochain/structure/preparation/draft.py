@@ -10,19 +10,7 @@ from typing import Any, NamedTuple
 
 import gemmi
 
-from protochain.core import defaults
-from protochain.core.checks import (
-    Bond,
-    LigandSource,
-    charges_of_ligands,
-    check_fields,
-    flag,
-    integer,
-    optional,
-    text,
-    words,
-)
-from protochain.core.checks import ligands as ligands_of
+from protochain.core import checks, defaults
 from protochain.ligands import Ligand
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged
@@ -48,7 +36,7 @@ class Chemistry:
     """Where the chemistry of molecules kept with the protein comes from."""
 
     # What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
-    sources: tuple[LigandSource, ...] = ()
+    sources: tuple[checks.LigandSource, ...] = ()
     charges: str = defaults.LIGAND_CHARGES  # As for :func:`protochain.ligand`.
     ph: float = defaults.PH
     has_glycam: bool = True  # Whether the force field is one that GLYCAM-06j goes with.
@@ -59,7 +47,8 @@ class Chemistry:
     @classmethod
     def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
         """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
-        given, charges = ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges")
+        given = checks.ligands(ligands, "ligands")
+        charges = checks.charges_of_ligands(ligand_charges, "ligand_charges")
         glycam = not forcefield or HAS_GLYCAM in forcefield
         return cls(given, charges, ph, glycam, glycam or HAS_SAGE in forcefield)
 
@@ -101,13 +90,13 @@ class Reading:
     # Convert modified residues to their standard parents, also those that have parameters.
     standard_residues: bool = False
     assembly: str = ""  # Name of the biological assembly to build; none by default.
-    disulfide: tuple[Bond, ...] = ()  # Disulfide bonds that are asked for.
+    disulfide: tuple[checks.Bond, ...] = ()  # Disulfide bonds that are asked for.
     ph: float | str = defaults.PH
 
     def __post_init__(self) -> None:
-        check_fields(
-            self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words,
-            standard_residues=flag, assembly=text,
+        checks.check_fields(
+            self, model=checks.optional(checks.integer), altloc=checks.text, keep=checks.words,
+            strict=checks.flag, chains=checks.words, standard_residues=checks.flag, assembly=checks.text,
         )  # fmt: skip
 
 

@@ -28,71 +28,52 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.model import BoundLigand, Origin, Structure
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.bound import parametrise_ligands, put_hydrogens, take_ligands
-from protochain.structure.preparation.choose import (
-    build_assembly,
-    choose_altlocs,
-    choose_chains,
-    choose_model,
-    correct_atoms,
+from protochain.structure.preparation import (
+    bound,
+    choose,
+    complete,
+    fragments,
+    kept,
+    periodic,
+    protonate,
+    pseudo_atoms,
+    sites,
 )
-from protochain.structure.preparation.complete import add_heavy_atoms
+from protochain.structure.preparation import read as chain_passes
 from protochain.structure.preparation.draft import Chemistry, Draft, Omission, Part, Reading
-from protochain.structure.preparation.fragments import assign_chemistry
-from protochain.structure.preparation.kept import choose_kept, report_kept, require_chain
-from protochain.structure.preparation.periodic import make_whole
-from protochain.structure.preparation.protonate import protonate
-from protochain.structure.preparation.pseudo_atoms import remove_pseudo_atoms
-from protochain.structure.preparation.read import (
-    add_poses,
-    join_chains,
-    order_parts,
-    read_bonds,
-    split_chains,
-)
-from protochain.structure.preparation.sites import (
-    bond_disulfides,
-    find_links,
-    list_bonds,
-    moves,
-    report_links,
-    stated_beside,
-    stated_ties,
-    ties,
-)
 
 Pass = Callable[[Draft], Iterable[Repair | Omission]]
 """A step of a preparation, which changes a draft and yields what it changed."""
 
 READING: tuple[Pass, ...] = (
-    build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
-    choose_model,
-    remove_pseudo_atoms,
-    make_whole,  # Molecules that a periodic box cuts.
-    correct_atoms,  # Occupancies, deuterium, elements.
-    read_bonds,  # Bonds that the file states.
-    choose_chains,
-    choose_altlocs,
-    split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
-    join_chains,  # Pieces whose ends are bonded.
-    add_poses,  # Molecules that the user gives.
-    choose_kept,  # Molecules kept beside the protein, and what each is.
-    require_chain,
-    find_links,  # Bonds between the protein and these.
-    assign_chemistry,  # Residues that no template fits.
-    report_links,
-    parametrise_ligands,  # Small molecules.
-    report_kept,
-    order_parts,
+    choose.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
+    choose.choose_model,
+    pseudo_atoms.remove_pseudo_atoms,
+    periodic.make_whole,  # Molecules that a periodic box cuts.
+    choose.correct_atoms,  # Occupancies, deuterium, elements.
+    chain_passes.read_bonds,  # Bonds that the file states.
+    choose.choose_chains,
+    choose.choose_altlocs,
+    chain_passes.split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
+    chain_passes.join_chains,  # Pieces whose ends are bonded.
+    chain_passes.add_poses,  # Molecules that the user gives.
+    kept.choose_kept,  # Molecules kept beside the protein, and what each is.
+    kept.require_chain,
+    sites.find_links,  # Bonds between the protein and these.
+    fragments.assign_chemistry,  # Residues that no template fits.
+    sites.report_links,
+    bound.parametrise_ligands,  # Small molecules.
+    kept.report_kept,
+    chain_passes.order_parts,
 )
 """Passes from a file to molecules of known chemistry."""
 COMPLETING: tuple[Pass, ...] = (
-    list_bonds,  # Bonds otherwise than along a chain; molecules that move.
-    take_ligands,  # Templates of ligands that move.
-    add_heavy_atoms,
-    bond_disulfides,
-    protonate,
-    put_hydrogens,  # Of ligands, as their molecules have them.
+    sites.list_bonds,  # Bonds otherwise than along a chain; molecules that move.
+    bound.take_ligands,  # Templates of ligands that move.
+    complete.add_heavy_atoms,
+    sites.bond_disulfides,
+    protonate.protonate,
+    bound.put_hydrogens,  # Of ligands, as their molecules have them.
 )
 """Passes from molecules to all of their atoms."""
 PASSES = READING + COMPLETING
@@ -278,10 +259,9 @@ def prepare(draft: Draft) -> Structure:
     x = place_hydrogens(x, elements, charge, bonds)
     owners = [(member, atom.name) for member in draft.members for atom in member.atoms]
     _refuse_coincident(draft, owners, x, bonds)
-    springs = [*draft.links, *draft.metal_links]
     fixed, mobile = np.repeat(
         [
-            (part.obstacle and not part.mobile and not moves(draft, member, draft.links), part.mobile)
+            (part.obstacle and not part.mobile and not sites.moves(draft, member, draft.links), part.mobile)
             for part in draft.parts
             for member in part.members
         ],
@@ -289,7 +269,8 @@ def prepare(draft: Draft) -> Structure:
         axis=0,
     ).T
     between = [link for link in draft.metal_links if link.member is not link.other]
-    links = _distinct(draft, [*draft.links, *draft.other_links, *stated_beside(draft), *between])
+    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_beside(draft), *between])
+    held = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
     of_residues = [part for part in draft.parts for _ in part.members]
     return Structure(
         name=draft.name,
@@ -303,7 +284,7 @@ def prepare(draft: Draft) -> Structure:
         residue_label=tuple(member.label for member in draft.members),
         header=draft.header,
         model_number=draft.model_number,
-        ties=stated_ties(draft, springs, at) or ties(springs, at, x, elements, bonds) if springs else (),
+        ties=held,
         mobile=mobile,
         links=np.array(_linked(links, at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),

@@ -311,6 +311,18 @@ def _metal_links(draft: Draft) -> list[Link]:
     return found
 
 
+def ties_of(
+    draft: Draft,
+    links: Sequence[Link],
+    at: Mapping[int, Mapping[str, int]],
+    x: Floats,
+    element: Sequence[str],
+    bonds: Integers,
+) -> tuple[Tie, ...]:
+    """Springs of bonds as the file has them, or else as they are in the input; arguments as of ties."""
+    return (_stated_ties(draft, links, at) or ties(links, at, x, element, bonds)) if links else ()
+
+
 def ties(
     links: Sequence[Link],
     at: Mapping[int, Mapping[str, int]],
@@ -345,7 +357,7 @@ def ties(
     return tuple(tie for tie in made if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
 
 
-def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+def _stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
     """Springs as the file has them; none if it lacks one of these bonds. Arguments as for :func:`ties`."""
     if not all(_ends(link) in draft.springs for link in links):
         return ()
