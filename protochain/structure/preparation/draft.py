@@ -185,8 +185,8 @@ class Part:
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
         member = self.members[i]
-        if member.template is not None:
-            return member.template
+        if isinstance(member.source, Template):
+            return member.source
         name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
         # An end that is bonded to a molecule outside the chain is none.
         linked = {atom.name for atom in member.links}
