@@ -236,8 +236,8 @@ def _amides(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
     nitrogens = [(m, m.atom(_AMINES[m.name])) for m in chains if m.name in _AMINES]
     nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
     tree = KDTree([a.pos.tolist() for _, a in acyls])
-    for m, a in nitrogens:
-        for k in sorted(tree.query_ball_point(a.pos.tolist(), _AMIDE)) if a else ():
+    for m, a in ((m, a) for m, a in nitrogens if a):
+        for k in sorted(tree.query_ball_point(a.pos.tolist(), _AMIDE)):
             other, its = acyls[k]
             if other is not m and not draft.has_bond(m.address(a.name), other.address(its.name)):
                 yield Link(m, a, other, its)
