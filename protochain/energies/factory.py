@@ -232,14 +232,13 @@ def energy(
 
     reference = by_openmm(cutoff)
     made = by_engine(engine, reference)
-    is_native = isinstance(made, NativeEnergy)
     if device != "cpu":
         return DeviceEnergy(made, reference, device, None if accuracy == "exact" else float(accuracy))
     # What the native engine cannot do, OpenMM does by its own rule.
-    other = _rule_of("openmm", solvent, structure.n_atoms)
-    if is_free and system is None and not is_native and other.cutoff != cutoff:
-        settings |= {"device": "cpu", "cutoff": other.cutoff}
-        return by_engine(engine, by_openmm(other.cutoff))
+    fallback = _rule_of("openmm", solvent, structure.n_atoms)
+    if is_free and system is None and not isinstance(made, NativeEnergy) and fallback.cutoff != cutoff:
+        settings |= {"device": "cpu", "cutoff": fallback.cutoff}
+        return by_engine(engine, by_openmm(fallback.cutoff))
     if isinstance(made, NativeEnergy) and accuracy != "exact":
         return made.to_accuracy(float(accuracy), structure.positions)
     is_measured = system is None and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO
