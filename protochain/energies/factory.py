@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import openmm
@@ -204,53 +204,77 @@ def energy(
             Argument("engine", engine), " computes on the processor; leave out ", Argument("device", device)
         )
     structure = as_structure(structure)
-    is_free = accuracy == "auto" and cutoff == "auto"
     if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
         other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
         raise ForceFieldError(Argument("accuracy"), " is of a tree by the native engine, and not of ", *other)
-    is_long = is_free and solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
-    if accuracy == "auto":
-        fewest = defaults.TREE_FROM_IN_VACUUM if solvent == "vacuum" else defaults.TREE_FROM
-        by_tree = is_free and engine != "openmm" and structure.n_atoms >= fewest
-        accuracy = defaults.TREE_ACCURACY if by_tree else "exact"
-    if cutoff == "auto":
-        cutoff = defaults.LONG_CUTOFF if is_long and accuracy == "exact" else None
-    is_given = system is not None
-    if system is None:
-        system = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
-        note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
-        note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml" if solvent == "obc2" else ""
-        if terms == "nonbonded":
-            _leave_out_torsions(system)
-            forcefield += NONBONDED
-        by_openmm = OpenMMEnergy(
-            system, "CPU", threads, forcefield, solvent, note, structure.fingerprint, settings
-        )
-    elif system.getNumParticles() == structure.n_atoms:
-        cutoff, system = None, copy.deepcopy(system)
-        by_openmm = OpenMMEnergy(
-            system, threads=threads, note="System given by the caller", settings=settings
-        )
-    else:
+    if system is not None and system.getNumParticles() != structure.n_atoms:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
-    made = by_engine(engine, by_openmm)
+    is_free = accuracy == "auto" and cutoff == "auto"
+    rule = _rule_of(engine, solvent, structure.n_atoms) if is_free else _EXACT
+    accuracy = rule.accuracy if accuracy == "auto" else accuracy
+    cutoff = rule.cutoff if cutoff == "auto" else cutoff
     device = "cpu" if engine == "native" else chosen(device, structure.n_atoms)
+
+    def by_openmm(cutoff: float | None) -> OpenMMEnergy:
+        if system is not None:
+            note = "System given by the caller"
+            return OpenMMEnergy(copy.deepcopy(system), threads=threads, note=note, settings=settings)
+        built = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
+        note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
+        note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml" if solvent == "obc2" else ""
+        if terms == "nonbonded":
+            _leave_out_torsions(built)
+        called = forcefield + NONBONDED if terms == "nonbonded" else forcefield
+        return OpenMMEnergy(built, "CPU", threads, called, solvent, note, structure.fingerprint, settings)
+
+    reference = by_openmm(cutoff)
+    made = by_engine(engine, reference)
     if device != "cpu":
-        return DeviceEnergy(made, by_openmm, device, None if accuracy == "exact" else float(accuracy))
+        return DeviceEnergy(made, reference, device, None if accuracy == "exact" else float(accuracy))
+    # What the native engine cannot do, OpenMM does by its own rule.
+    fallback = _rule_of("openmm", solvent, structure.n_atoms)
+    if is_free and system is None and not isinstance(made, NativeEnergy) and fallback.cutoff != cutoff:
+        settings |= {"device": "cpu", "cutoff": fallback.cutoff}
+        return by_engine(engine, by_openmm(fallback.cutoff))
     if isinstance(made, NativeEnergy) and accuracy != "exact":
         return made.to_accuracy(float(accuracy), structure.positions)
-    if is_long and cutoff is None and not is_given and not isinstance(made, NativeEnergy):
-        forcefield = forcefield.removesuffix(NONBONDED)
-        return energy(
-            structure, forcefield, solvent, engine, device="cpu", cutoff=defaults.LONG_CUTOFF,
-            threads=threads, trust_forcefield=trust_forcefield, terms=terms,
-        )  # fmt: skip
-    if isinstance(made, NativeEnergy) and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO:
-        by_openmm.note += f"; {made.cutoff_error(structure.positions)}"
+    is_measured = system is None and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO
+    if isinstance(made, NativeEnergy) and is_measured:
+        reference.note += f"; {made.cutoff_error(structure.positions)}"
     return made
+
+
+class _Rule(NamedTuple):
+    """How an engine sums the pairs of a structure of some size."""
+
+    engine: str  # ``native``, or ``any``.
+    in_solvent: bool
+    fewest: Callable[[], int]  # Atoms from which the rule holds.
+    accuracy: float | Literal["exact"]
+    cutoff: float | None  # nm.
+
+
+_RULES = (
+    _Rule("native", False, lambda: defaults.TREE_FROM_IN_VACUUM, defaults.TREE_ACCURACY, None),
+    _Rule("native", True, lambda: defaults.TREE_FROM, defaults.TREE_ACCURACY, None),
+    _Rule("any", True, lambda: defaults.FULL_UP_TO + 1, "exact", defaults.LONG_CUTOFF),
+)
+"""What is done if neither an accuracy nor a cutoff is given: the first rule that holds."""
+_EXACT = _Rule("any", True, lambda: 0, "exact", None)
+"""All pairs one by one, if no rule holds. ``auto`` takes the native engine if it supports every force, and a
+device of OpenMM from ``defaults.DEVICE_FROM`` atoms on (:func:`protochain.energies.on_device.chosen`)."""
+
+
+def _rule_of(engine: str, solvent: str, n_atoms: int) -> _Rule:
+    """Return the rule for an engine, a solvent and a number of atoms."""
+    for rule in _RULES:
+        is_of_engine = rule.engine == "any" or engine != "openmm"
+        if is_of_engine and rule.in_solvent == (solvent != "vacuum") and n_atoms >= rule.fewest():
+            return rule
+    return _EXACT
 
 
 _MEASURED_UP_TO = 100_000

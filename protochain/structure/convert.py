@@ -8,19 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
-from protochain.core.checks import acidity_or_auto, plain
+from protochain.core.checks import plain
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.formats.files import check, number_atoms, place_in_file
+from protochain.structure.formats.files import check, number_atoms, places_in_file
 from protochain.structure.formats.foreign import as_gemmi
 from protochain.structure.molecule.model import Structure
-from protochain.structure.preparation.bound import Chemistry
 from protochain.structure.preparation.draft import Draft
-from protochain.structure.preparation.pka import value_of
-from protochain.structure.preparation.prepare import load, parts_of, prepare, user_files
-from protochain.structure.preparation.read import Reading, read_structure
+from protochain.structure.preparation.prepare import READING, load, prepare, reading_of, run
 
 if TYPE_CHECKING:
     import MDAnalysis
@@ -66,19 +62,12 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     if isinstance(source, str | Path):
         return load(source, **settings)
     made = as_gemmi(source)
-    if len(made) and not any(place_in_file(place.atom) >= 0 for place in made[0].all()):
+    if len(made) and max(places_in_file(place.atom for place in made[0].all()), default=-1) < 0:
         number_atoms(made)
     made.merge_chain_parts()
     check(made, name)
-    parts, ph = settings.pop("forcefield", None), settings.pop("ph", defaults.PH)
-    forcefield = user_files(parts)
-    disulfide = settings.pop("disulfide", None)
-    settings.setdefault("keep", defaults.KEEP)
-    ph = acidity_or_auto(ph, "ph")
-    given, charges = settings.pop("ligands", ()), settings.pop("ligand_charges", defaults.LIGAND_CHARGES)
-    settings["chemistry"] = Chemistry.asked(given, charges, value_of(ph), parts_of(parts))
-    draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
-    return prepare(draft, disulfide, ph, forcefield)
+    draft = Draft(name, name, reading=reading_of(**settings), file=made)
+    return prepare(run(draft, READING))
 
 
 def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory:

@@ -14,11 +14,8 @@ from protochain.structure.formats.files import number_atoms
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import CAPS, STANDARD, name_in_file
-from protochain.structure.preparation.bound import Chemistry
 from protochain.structure.preparation.draft import Draft
-from protochain.structure.preparation.pka import value_of
-from protochain.structure.preparation.prepare import parts_of, prepare, user_files
-from protochain.structure.preparation.read import Reading, read_structure
+from protochain.structure.preparation.prepare import READING, prepare, reading_of, run
 from protochain.structure.select import select
 from protochain.structure.write import as_gemmi
 
@@ -56,8 +53,6 @@ def substituted(structure: Structure, names: Mapping[int, str], **settings: Any)
         )
     )
     number_atoms(made)
-    files, ph = settings.get("forcefield"), settings.get("ph", defaults.PH)
-    charges = settings.get("ligand_charges", defaults.LIGAND_CHARGES)
     known = {
         str(structure.residue_name[structure.atom_residue[each.atoms[0]]]): (
             replace(each.ligand.molecule, names=tuple(structure.atom_name[each.atoms].tolist())),
@@ -65,14 +60,15 @@ def substituted(structure: Structure, names: Mapping[int, str], **settings: Any)
         )
         for each in structure.ligands
     }
-    chemistry = replace(Chemistry.asked((), charges, value_of(ph), parts_of(files)), posed=known)
-    reading = Reading(keep=("all",), forcefield=user_files(files), chemistry=chemistry)
-    draft = read_structure(made, Draft(structure.name, structure.name), reading)
+    used = ("forcefield", "ph", "ligand_charges", "disulfide")
+    reading = reading_of(keep=("all",), **{name: settings[name] for name in used if name in settings})
+    reading = replace(reading, chemistry=replace(reading.chemistry, posed=known))
+    draft = run(Draft(structure.name, structure.name, reading=reading, file=made), READING)
     for r in names:
         # Energies and arrays of the old residue are those of the new one if its name stays.
         if draft.members[r].name == structure.residue_name[r]:
             draft.members[r].order = tuple(structure.atom_name[structure.atom_residue == r].tolist())
-    new = prepare(draft, settings.get("disulfide"), ph, reading.forcefield)
+    new = prepare(draft)
     return _as_of(new, structure, np.array(kept), noted)
 
 

@@ -13,6 +13,7 @@ import protochain as pc
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
+from protochain.energies.factory import _rule_of
 
 
 def by_openmm(s, solvent, cutoff):
@@ -84,3 +85,17 @@ def test_a_cutoff_within_which_atoms_touch_is_refused_by_every_engine(engine):
         ):
             pc.energy(load("1l2y.pdb"), engine=engine, cutoff=given)
     assert "cutoff 0.5 nm" in Setup(cutoff="0.5", engine=engine).energy(load("1l2y.pdb")).reason
+
+
+@pytest.mark.parametrize(
+    ("engine", "solvent", "n_atoms", "accuracy", "cutoff"),
+    [
+        ("auto", "vacuum", 8_999, "exact", None), ("auto", "vacuum", 9_000, 1e-3, None),
+        ("openmm", "vacuum", 90_000, "exact", None), ("native", "obc2", 4_999, "exact", None),
+        ("native", "gbn2", 5_000, 1e-3, None), ("openmm", "obc2", 20_000, "exact", None),
+        ("openmm", "obc2", 20_001, "exact", 2.0), ("auto", "obc2", 20_001, 1e-3, None),
+    ],
+)  # fmt: skip
+def test_the_rules_of_sums_go_by_engine_solvent_and_size(engine, solvent, n_atoms, accuracy, cutoff):
+    rule = _rule_of(engine, solvent, n_atoms)
+    assert (rule.accuracy, rule.cutoff) == (accuracy, cutoff)

@@ -5,6 +5,7 @@ import re
 import gemmi
 import numpy as np
 import pytest
+from fixtures.drafts import disulfides, kept_of, linked
 from fixtures.repairs import kinds, noted, sentences
 
 import protochain as pc
@@ -13,12 +14,12 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import fragments
-from protochain.structure.preparation.bridges import disulfides
-from protochain.structure.preparation.conformation import likeliest, same_place
-from protochain.structure.preparation.draft import Draft, Part
-from protochain.structure.preparation.kept import Candidate, check_words, choose, report, water_named
+from protochain.structure.preparation.choose import likeliest, same_place
+from protochain.structure.preparation.draft import Draft, Evidence, Part
+from protochain.structure.preparation.kept import Candidate, check_words, report_kept, water_named
+from protochain.structure.preparation.prepare import run
 from protochain.structure.preparation.recognise import by_element
-from protochain.structure.preparation.sites import find_links, measure, moves, ties
+from protochain.structure.preparation.sites import measure, moves, ties
 
 
 def member(name, number, *atoms, chain="A", code=""):
@@ -64,7 +65,7 @@ def test_atoms_of_the_protein_as_near_as_bonded_ones_are_named_unless_something_
     def near(name, length, number=3):
         first, last = member("CYS", 1, ("SG", 0.0)), member("CYS", number, (name, length))
         draft = drafted(first, *[member("GLY", 2, ("CA", 9.0))] * (number > 2), last)
-        find_links(draft)
+        linked(draft)
         return draft
 
     assert kinds(near("CB", 1.82)) == [Kind.NEAR]
@@ -140,7 +141,7 @@ def crosslinked(*members):
         id(m): fragments.Place(part, i, *part.around(i))
         for part in draft.parts for i, m in enumerate(part.members)
     }  # fmt: skip
-    return [(link.atom.name, link.other_atom.name) for link in fragments._crosslinks(draft, where)]
+    return [(link.atom.name, link.other_atom.name) for link in fragments._amides(draft, where)]
 
 
 @pytest.mark.parametrize(("amine", "nitrogen"), [("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND")])
@@ -176,7 +177,7 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     def kept(word):
         given = Candidate(residue, "OLD", [noted("oddly")])
         draft = drafted(glycine())
-        parts = choose(draft, [given], (word,), {})
+        parts = kept_of(draft, [given], (word,), {})
         assert given.kind == kind and draft.left_out == ({} if parts else {_told(kind): 1})
         assert (noted("oddly") in draft.repairs) == bool(parts)
         return [part.members for part in parts] == [[residue]]
@@ -187,8 +188,8 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     told = f"keep QWK: .*: 1 {_told(kind).rstrip('s')}$"
     for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
         with pytest.raises(pc.ProtochainError, match=told):
-            choose(drafted(glycine()), [Candidate(residue, "OLD")], words, {})
-    assert choose(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
+            kept_of(drafted(glycine()), [Candidate(residue, "OLD")], words, {})
+    assert kept_of(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
 
 
 def _told(kind):
@@ -219,9 +220,8 @@ def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what
     if near == ():
         given[2].member.atoms[0].pos.y = 1.7
     draft = drafted(glycine())
-    parts = choose(draft, given, ("near",), {})
-    draft.parts += parts
-    report(draft)
+    parts = kept_of(draft, given, ("near",), {})
+    run(draft, (report_kept,))
     kept = [part.members[0] for part in parts]
     assert kept == [given[k].member for k in near]
     gone = len(places) - len(near)
@@ -262,15 +262,15 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     water, last = member("LIG", 3, ("C", 9.1), chain="B"), member("LIG", 4, ("C", 9.1), chain="C")
     draft = Draft("x", "x")
     given = [Candidate(each, each.name) for each in (first, second, water, last)]
-    parts = draft.parts = choose(draft, given, ("all",), DNA)
-    report(draft)
+    parts = kept_of(draft, given, ("all",), DNA)
+    run(draft, (report_kept,))
     strands = [[first, second]] if bonded else [[first], [second]]
     assert [part.members for part in parts] == [*strands, [water], [last]]
     assert all(part.obstacle and not part.cyclic for part in parts)
     assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
     assert kinds(draft) == [Kind.KEPT, *([] if bonded else 2 * [Kind.PHOSPHATE])]
     assert all((each.atom("P") is not None) is bonded for each in (first, second))
-    assert all(each.own is None for each in (first, second, water, last))
+    assert all(each.template is None for each in (first, second, water, last))
 
 
 def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
@@ -280,7 +280,7 @@ def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
         for chain, numbers, at in (("B", (1, 2, 3), 0.0), ("C", (4, 5, 6), 5.0))
     ]
     given = [Candidate(each, each.name) for strand in strands for each in strand]
-    assert [part.members for part in choose(Draft("x", "x"), given, ("all",), DNA)] == strands
+    assert [part.members for part in kept_of(Draft("x", "x"), given, ("all",), DNA)] == strands
 
 
 def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_element():
@@ -288,14 +288,14 @@ def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_e
     second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))
     third = member("DA", 3, ("P", 10.6), ("O3'", 18.0))
     draft = Draft("x", "x")
-    parts = choose(draft, [Candidate(each, "DA") for each in (first, second, third)], ("all",), DNA)
+    parts = kept_of(draft, [Candidate(each, "DA") for each in (first, second, third)], ("all",), DNA)
     assert [(part.members, part.mobile) for part in parts] == [
         ([first], True),
         ([second], False),
         ([third], True),
     ]
-    assert (first.own, third.own) == (None, None)
-    assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
+    assert (first.template, third.template) == (None, None)
+    assert second.template.element == {"P": "P", "O3'": "O", "CX": "C"}
     assert [[a.name for a in each.links] for each in (first, second, third)] == [["O3'"], [], ["P"]]
     assert first.atom("P") and third.atom("P")
     (stays,) = (each for each in draft.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
@@ -308,12 +308,12 @@ def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
         ("ALA", ("C",), False), ("DA", ("P", "O3'"), True),
     ):  # fmt: skip
         residue = member(name, 1, *((atom_name, float(k)) for k, atom_name in enumerate(atoms)))
-        choose(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
-        assert (residue.own is None) is fits, (name, atoms)
+        kept_of(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
+        assert (residue.template is None) is fits, (name, atoms)
     known = {"LIG": template("LIG", "OP1")}
     residue = member("LIG", 1, ("O1P", 0.0))
-    choose(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
-    assert residue.own is None
+    kept_of(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
+    assert residue.template is None
 
 
 def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
@@ -322,11 +322,11 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     ligand = member("ATP", 2, ("P", 9.0))
     draft = Draft("x", "x")
     known = {"AN": template("AN", "O5'", "O3'", "O2'"), "DGN": template("DGN", "O5'")}
-    choose(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
+    kept_of(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
     assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
-    clean.parts = choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
-    report(clean)
+    kept_of(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
+    run(clean, (report_kept,))
     assert len(clean.parts) == 1
     assert kinds(clean) == [Kind.KEPT]
 
@@ -360,7 +360,9 @@ def test_waters_of_the_tables_get_the_name_of_water(given, name):
 def beside(*parts):
     """A cysteine, a histidine and an aspartate, and molecules beside them."""
     return Draft(
-        "x", "x", [Part("A", [*parts[0]]), *(Part("B", [each], obstacle=True) for each in parts[1:])]
+        "x",
+        "x",
+        [Part("A", [*parts[0]]), *(Part("B", [each], Evidence.ELEMENTS) for each in parts[1:])],
     )
 
 
@@ -389,7 +391,7 @@ def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, do
     ):
         residue = placed(name, 1, CA=(9.0, 9.0, 0.0), **{donor: (far, 0.0, 0.0)}, H=(0.5, 0.0, 0.0))
         draft = beside([residue], ion(metal, 7, 0.0, 0.0, 0.0))
-        links = find_links(draft)
+        links = linked(draft)
         assert [(each.atom.name, each.is_metal) for each in links] == [(donor, True)] * bonded
         assert [a.name for a in residue.metals] == [donor] * bonded and residue.links == []
         assert kinds(draft) == [Kind.ION_HELD] * bonded
@@ -406,7 +408,7 @@ def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so(
         draft = beside([residue], ion("Zn", 7, 0.0, 0.0, 0.0))
         first = next(iter(names))
         draft.stated = [(("B", "7", "ZN"), ("A", "1", first))] * stated
-        assert [each.atom.name for each in find_links(draft)] == [first] * bonded, names
+        assert [each.atom.name for each in linked(draft)] == [first] * bonded, names
         # What the file says and is not done is reported.
         said = [f"{each}" for each in draft.repairs if each.kind is Kind.BOND_IGNORED]
         assert len(said) == (stated and not bonded)
@@ -418,7 +420,7 @@ def sugar(*extra):
     ring = {"C1": (0, 0, 0), "C2": (-0.5, 1.44, 0), "O5": (-0.48, -0.68, 1.16), "C5": (-1.9, -0.7, 1.2)}
     atoms = [atom(name, name[0], list(map(float, x))) for name, x in ring.items()]
     made = Member("NAG", "5", "", "B", [*atoms, *(atom(name, name[0], list(x)) for name, x in extra)])
-    made.own = by_element(made)
+    made.source = by_element(made)
     return made
 
 
@@ -437,7 +439,7 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
     for far, bonded in ((usual + 0.29, True), (usual + 0.31, False), (usual - 0.31, False)):
         residue, beside_it = asparagine(far), sugar()
         draft = beside([residue], beside_it)
-        (link,) = find_links(draft) or [None]
+        (link,) = linked(draft) or [None]
         assert (link is not None) is bonded
         assert [a.name for a in residue.links] == ["ND2"] * bonded and residue.metals == []
         if bonded:
@@ -446,8 +448,8 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
             )  # fmt: skip
             assert not link.is_metal and kinds(draft) == [Kind.BONDED]
     water = Member("HOH", "5", "", "B", [atom("O", "O", [0.0] * 3)])
-    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))], water)) == []
-    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
+    assert linked(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))], water)) == []
+    assert linked(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
 
 
 @pytest.mark.parametrize(
@@ -466,26 +468,26 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
 def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
     residue = Member(residue.name, "1", "", "A", list(residue.atoms))
     draft = beside([residue], other)
-    assert bool(find_links(draft)) is not bool(why), why
+    assert bool(linked(draft)) is not bool(why), why
     assert bool(residue.links) is not bool(why)
     if why:
         assert kinds(draft) == [Kind.NEAR]
         # What the file states is believed, if there is a valence.
         draft = beside([residue], other)
         draft.stated = [(("A", "1", residue.atoms[0].name), ("B", "5", "C1"))]
-        assert len(find_links(draft)) == 1
+        assert len(linked(draft)) == 1
 
 
 def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
     for far, bonded in ((0.81, True), (0.79, False), (2.13, True), (2.15, False), (5.0, False)):
         draft = beside([placed("ARG", 1, NH1=(far, 0.0, 0.0))], sugar())
         draft.stated = [(("B", "5", "C1"), ("A", "1", "NH1"))]
-        assert len(find_links(draft)) == bonded
+        assert len(linked(draft)) == bonded
         assert (Kind.BOND_IGNORED in kinds(draft)) is not bonded
     full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
     draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
     draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
-    assert find_links(draft) == [] and "C1 of residue 5 NAG of chain B has no valence" in sentences(draft)[0]
+    assert linked(draft) == [] and "C1 of residue 5 NAG of chain B has no valence" in sentences(draft)[0]
 
 
 def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
@@ -498,7 +500,7 @@ def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
         }
         draft = beside(holders, metal, *(water[far] for far in kept))
         draft.absent = [water[far] for far in absent]
-        links = find_links(draft)
+        links = linked(draft)
         assert len(links) == n and (kinds(draft)[0] is Kind.ION_MOVES) is moves(draft, metal, links)
         assert not moves(draft, metal, [])
         return moves(draft, metal, links)
@@ -510,12 +512,12 @@ def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
     # More than one atom is no ion.
     pair = Member("ZN2", "9", "", "B", [*ion("Zn", 7, 0.0, 0.0, 0.0).atoms, atom("O", "O", [9.0, 9.0, 9.0])])
     bound = beside([placed("CYS", 1, SG=(2.3, 0.0, 0.0))], pair)
-    assert len(find_links(bound)) == 1 and not moves(bound, pair, find_links(bound))
+    assert len(linked(bound)) == 1 and not moves(bound, pair, linked(bound))
 
 
 def tied(draft, bonds):
     """Springs of a draft whose atoms are numbered in order, by atoms."""
-    links = find_links(draft)
+    links = linked(draft)
     at, x, element = {}, [], []
     for member_ in draft.members:
         at[id(member_)] = {a.name: len(x) + k for k, a in enumerate(member_.atoms)}

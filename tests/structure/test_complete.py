@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
+from fixtures.drafts import collected
 from fixtures.repairs import kinds, sentences
 
 import protochain as pc
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
-from protochain.structure.molecule.templates import templates
 from protochain.structure.preparation import complete as module
 from protochain.structure.preparation.complete import add_heavy_atoms
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
+from protochain.structure.preparation.prepare import run
 from protochain.structure.sidechains.sites import Site
 
 
@@ -35,13 +36,15 @@ def names(one):
 
 def completed(*members, **kinds):
     draft = drafted(*members, **kinds)
-    add_heavy_atoms(draft, templates())
-    return draft
+    return run(draft, (add_heavy_atoms,))
 
 
 def refused(*members, known=None, **kinds):
+    draft = drafted(*members, **kinds)
+    if known is not None:
+        draft.templates = known
     with pytest.raises(pc.ProtochainError) as error:
-        add_heavy_atoms(drafted(*members, **kinds), templates() if known is None else known)
+        run(draft, (add_heavy_atoms,))
     return str(error.value)
 
 
@@ -94,11 +97,17 @@ def test_the_second_oxygen_needs_an_angle(angle, possible):
 def test_residues_and_atoms_without_parameters_are_named():
     hydroxyproline = (glycine(1), member("HYP", 2, *BACKBONE, "CB"), glycine(3))
     for refusal, words in (
-        (refused(member("LIG", 1, "C"), obstacle=True), "residue 1 LIG of chain A: the force field has no"),
+        (
+            refused(member("LIG", 1, "C"), evidence=Evidence.ELEMENTS),
+            "residue 1 LIG of chain A: the force field has no",
+        ),
         (refused(glycine(1), member("LIG", 2, "C")), "at the end of a chain"),
         (refused(glycine(1), glycine(2, "HQ", "OXT", "CX", "CY")), "atom CX does not belong to GLY"),
         (refused(*hydroxyproline), "residue 2 HYP of chain A: atom CD missing"),
-        (refused(member("HOH", 1, "H1"), obstacle=True), "residue 1 HOH of chain A: atom O missing"),
+        (
+            refused(member("HOH", 1, "H1"), evidence=Evidence.ELEMENTS),
+            "residue 1 HOH of chain A: atom O missing",
+        ),
         (refused(member("ACE", 4, "C", "CH3"), *serines()), "residue 4 ACE of chain A: atom O missing"),
     ):
         assert words in refusal
@@ -130,7 +139,7 @@ def test_missing_atoms_of_a_side_chain_are_built_where_they_belong():
     without(part[0], "CB", "OG"), without(part[1], "OG")
     mean = np.mean([a.b_iso for a in part[0].atoms])
     draft = drafted(*part)
-    add_heavy_atoms(draft, templates())
+    run(draft, (add_heavy_atoms,))
     assert sentences(draft) == [
         "residue 5 SER of chain A: missing CB, OG added", "residue 6 SER of chain A: missing OG added",
     ]  # fmt: skip
@@ -153,7 +162,7 @@ def test_an_atom_between_others_is_not_chosen_but_fitted():
     beta = at(part[0], "CB")
     without(part[0], "CB")
     draft = drafted(*part)
-    add_heavy_atoms(draft, templates())
+    run(draft, (add_heavy_atoms,))
     assert np.linalg.norm(at(part[0], "CB") - beta) < 0.1
     assert sentences(draft) == ["residue 5 SER of chain A: missing CB added"]
 
@@ -171,16 +180,16 @@ def test_the_hand_is_that_of_the_atoms_then_of_the_name_then_of_the_chain(monkey
     draft = Draft("x", "x")
     whole, d = serines()
     d.is_d = True
-    assert module._site(draft, Part("A", [whole, d]), 1).sign == 1
+    assert collected(draft, module._site(Part("A", [whole, d]), 1)).sign == 1
     without(d, "CB")
-    assert module._site(draft, Part("A", [whole, d]), 1).sign == -1
+    assert collected(draft, module._site(Part("A", [whole, d]), 1)).sign == -1
     without(whole, "CB")
-    site = module._site(draft, Part("A", [whole, d]), 0)
+    site = collected(draft, module._site(Part("A", [whole, d]), 0))
     assert (site.sign, site.member, site.before, site.after) == (1, whole, None, d) and not sentences(draft)
     monkeypatch.setattr(module, "_is_misnamed", lambda part, i: True)
-    assert module._site(draft, Part("A", [whole, d]), 0).sign == -1
+    assert collected(draft, module._site(Part("A", [whole, d]), 0)).sign == -1
     assert kinds(draft) == [Kind.BUILT_AS_D]
-    assert module._site(draft, Part("A", [whole, d]), 1).sign == -1 and len(draft.repairs) == 1
+    assert collected(draft, module._site(Part("A", [whole, d]), 1)).sign == -1 and len(draft.repairs) == 1
 
 
 @pytest.mark.parametrize(
@@ -265,7 +274,7 @@ def test_the_oxygens_of_an_end_have_room():
     # An atom there leaves room elsewhere, for both; a hydrogen does not count.
     for element, moves in (("C", True), ("H", False)):
         other = Member("LIG", "9", "", "B", [atom("X", element, (1.5 * free).tolist())])
-        draft = Draft("x", "x", [part, Part("B", [other], obstacle=True)])
+        draft = Draft("x", "x", [part, Part("B", [other], evidence=Evidence.ELEMENTS)])
         found = module._oxygen(draft, part, 0)
         assert bool(np.linalg.norm(found - free) > 0.5) is moves
         opposite = found * [1.0, -1.0, -1.0]

@@ -14,8 +14,7 @@ from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, verdict
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.residues import D_NAMES
-from protochain.structure.preparation.prepare import prepare
-from protochain.structure.preparation.read import read
+from protochain.structure.preparation.prepare import prepare, read
 
 BACKBONE = ("N", "CA", "C", "O", "OXT")
 OVERLAP, CHI = 0.6, 40.0

@@ -12,7 +12,7 @@ import protochain as pc
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.model import Tie, at_positions
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.prepare import _bonds, _indices, _refuse_coincident, user_files
 from protochain.structure.preparation.sites import Link
 from protochain.structure.select import select
@@ -184,7 +184,7 @@ def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
 
     a, b, c = (made(("N", "C", "SG")) for _ in range(3))
     d, e = made(("P", "O3'")), made(("P", "O3'"))
-    parts = [Part("A", [a, b]), Part("A", [c], cyclic=False), Part("A", [d, e], obstacle=True)]
+    parts = [Part("A", [a, b]), Part("A", [c], cyclic=False), Part("A", [d, e], evidence=Evidence.ELEMENTS)]
     done = [(m, strand if m in (d, e) else inner) for m in (a, b, c, d, e)]
     at = _indices(done)
     assert at[id(a)] == {"N": 0, "C": 1, "SG": 2} and at[id(e)] == {"P": 11, "O3'": 12} and len(at) == 5

@@ -5,15 +5,14 @@ from string import Formatter
 import gemmi
 import numpy as np
 import pytest
+from fixtures.drafts import protonated
 from fixtures.repairs import noted
 
 from protochain.cli.options import as_option
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import EVERYTHING, Kind, Repair, summarised
 from protochain.structure.molecule.residues import Residue
-from protochain.structure.molecule.templates import templates
-from protochain.structure.preparation.draft import Draft, Part
-from protochain.structure.preparation.protonate import protonate
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 
 
 def residue(name, number, occupancies):
@@ -41,12 +40,12 @@ def ring_and_acceptors(*places):
         way = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ outward[donor]
         at = radius * outward[donor] + 3.0 * way
         water = Member("HOH", "2", "", "A", [atom("O", "O", at.tolist())])
-        parts.append(Part("A", [water], obstacle=True))
+        parts.append(Part("A", [water], evidence=Evidence.ELEMENTS))
     return Draft("made", "made", parts)
 
 
 def state(draft):
-    (_, template) = protonate(draft, templates(), set(), 7.0)[0]
+    (_, template) = protonated(draft)[0]
     return template.name[-3:]
 
 

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from fixtures.drafts import collected, protonated
 from fixtures.repairs import sentences
 
 import protochain as pc
 from protochain.core.checks import acidity
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
-from protochain.structure.molecule.templates import Template, templates
+from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import protonate as module
 from protochain.structure.preparation.draft import Draft, Part
-from protochain.structure.preparation.protonate import protonate
 
 
 def member(name, number=1, *atoms, state=""):
@@ -71,7 +71,7 @@ MADE = Template(
 def matched(*atoms):
     """Number renamed, atoms afterwards (name, x, y, z, B), and what is said."""
     draft, one = Draft("x", "x"), member("XXX", 1, *atoms)
-    renamed = module._match(draft, one, MADE)
+    renamed = collected(draft, module._match(one, MADE))
     after = [(a.name, *np.round(a.pos.tolist(), 6).tolist(), a.b_iso) for a in one.atoms]
     assert [a.element.name for a in one.atoms] == [a.name[0] for a in one.atoms]
     return renamed, after, sentences(draft)
@@ -112,7 +112,7 @@ def glycines(*more):
 
 def test_hydrogens_are_counted_and_said():
     draft = Draft("x", "x", [Part("A", glycines(("H", 0, 1, 0), ("HZ", 1.5, 1, 0), ("HY", 1.5, -1, 0)))])
-    done = protonate(draft, templates(), set(), 6.5)
+    done = protonated(draft, 6.5)
     assert [template.name for _, template in done] == ["NGLY", "GLY", "CGLY"]
     assert [m for m, _ in done] == draft.members
     assert [[a.name for a in m.atoms] for m, _ in done] == [
@@ -136,7 +136,7 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
     residues = chain("HIS", "ASP", "CYS", "CYS", "HIS", "GLU")
     residues[5].state = "HIE"
     draft = Draft("x", "x", [Part("A", residues)])
-    done = protonate(draft, templates(), {id(residues[3])}, 4.4)
+    done = protonated(draft, 4.4, [(residues[3], residues[3])])
     assert [template.name for _, template in done] == [
         "NALA",
         "HIP",
@@ -154,7 +154,7 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
     assert sentences(draft)[3].endswith("hydrogens added at pH 4.4 (0 were in the file)")
     ends = [member("ASP", 1, ("CA", 0.0, 0.0, 0.0)), member("HIS", 2, ("CA", 9.0, 0.0, 0.0))]
     draft = Draft("x", "x", [Part("A", ends)])
-    done = protonate(draft, templates(), set(), 2.0)
+    done = protonated(draft, 2.0)
     assert [template.name for _, template in done] == ["NASP", "CHIP"]
     assert sentences(draft)[:2] == [
         "residue 1 ASP of chain A: kept in its usual state: the force field has no terminal ASH",
@@ -166,7 +166,7 @@ def test_half_a_disulfide_without_the_other_is_named():
     alone = chain("CYS", "CYS")
     alone[1].given = alone[2].given = "CYX"
     draft = Draft("x", "x", [Part("A", alone)])
-    done = protonate(draft, templates(), {id(alone[2])}, 7.0)
+    done = protonated(draft, 7.0, [(alone[2], alone[2])])
     assert [template.name for _, template in done][1:3] == ["CYS", "CYX"]
     (said,) = (repair for repair in draft.repairs if repair.kind is Kind.NO_PARTNER)
     assert said.facts["residue"] == alone[1].residue and "CYX" in str(said)

@@ -3,6 +3,7 @@
 import gemmi
 import numpy as np
 import pytest
+from fixtures.drafts import read_model
 from fixtures.repairs import kinds, sentences
 from fixtures.samples import STRUCTURES, load
 
@@ -12,8 +13,8 @@ from protochain.structure.molecule.member import atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import archive_parent
 from protochain.structure.preparation import read as module
-from protochain.structure.preparation.draft import Draft
-from protochain.structure.preparation.read import Reading, read, read_structure
+from protochain.structure.preparation.draft import Reading
+from protochain.structure.preparation.prepare import read
 
 BACKBONE = ("N", "CA", "C", "O")
 STEP = 3.7
@@ -50,7 +51,7 @@ def structure(*chains, models=(1,)):
 
 def taken(*residues, chain="A", **options):
     """The draft of one chain."""
-    return read_structure(structure((chain, residues)), Draft("x", "x"), Reading(**options))
+    return read_model(structure((chain, residues)), **options)
 
 
 def names(draft):
@@ -83,14 +84,14 @@ def test_models_go_by_their_numbers(numbers, said):
     many = structure(("A", alanines(2)), models=numbers)
     many[1].remove_chain("A")
     many[1].add_chain(structure(("B", alanines(2)))[0][0])
-    draft = read_structure(many, Draft("x", "x"), Reading())
+    draft = read_model(many)
     n = len(numbers) - 1
     assert sentences(draft) == [f"model {numbers[0]} used, {n} other model{'s' * (n > 1)} left out"]
     assert dict(draft.left_out) == {"models": n} and draft.parts[0].chain_id == "A"
-    second = read_structure(many, Draft("x", "x"), Reading(model=numbers[1]))
+    second = read_model(many, model=numbers[1])
     assert second.parts[0].chain_id == "B" and second.repairs == [] and dict(second.left_out) == {"models": n}
     with pytest.raises(pc.ProtochainError) as error:
-        read_structure(many, Draft("x", "x"), Reading(model=1))
+        read_model(many, model=1)
     assert str(error.value) == f"x: has no model 1; its models are {said}"
 
 
@@ -102,7 +103,7 @@ def test_stated_bonds_are_disulfides_covalent_links_and_bonds_to_metals():
         link.partner1 = gemmi.AtomAddress("A ", gemmi.SeqId(1, "B"), "CYS", "SG")
         link.partner2 = gemmi.AtomAddress("B", gemmi.SeqId(2, " "), "CYS", f"{kind}")
         made.connections.append(link)
-    stated = read_structure(made, Draft("x", "x"), Reading()).stated
+    stated = read_model(made).stated
     assert stated == [(("A", "1B", "SG"), ("B", "2", kind)) for kind in ("Disulf", "Covale", "MetalC")]
 
 
@@ -114,7 +115,7 @@ def test_bonds_to_symmetry_mates_are_named_and_are_none_of_the_model():
         link.partner1 = gemmi.AtomAddress("A", gemmi.SeqId(2, " "), "ALA", "CA")
         link.partner2 = gemmi.AtomAddress("A", gemmi.SeqId(number, " "), "ALA", "CA")
         made.connections.append(link)
-    draft = read_structure(made, Draft("x", "x"), Reading())
+    draft = read_model(made)
     assert draft.stated == [] and kinds(draft) == [Kind.IMAGES]
     assert sentences(draft)[0].startswith("3 bonds of the file to symmetry mates")
     assert sentences(draft)[0].endswith("of CA of residue 2 ALA of chain A")
@@ -345,7 +346,7 @@ def test_residues_whose_ends_meet_are_a_ring(n, gap, bonded):
     ring = alanines(n)
     ring[0][0].pos = gemmi.Position(STEP * n + 2.4, gap, 0.0)
     made = structure(("A", ring))
-    draft = read_structure(made, Draft("x", "x"), Reading())
+    draft = read_model(made)
     assert draft.parts[0].cyclic is bonded
     assert kinds(draft) == [Kind.CYCLIC] * bonded
     link = gemmi.Connection()
@@ -353,7 +354,7 @@ def test_residues_whose_ends_meet_are_a_ring(n, gap, bonded):
     link.partner1 = gemmi.AtomAddress("A", gemmi.SeqId(1, " "), "ALA", "N")
     link.partner2 = gemmi.AtomAddress("A", gemmi.SeqId(n, " "), "ALA", "C")
     made.connections.append(link)
-    assert read_structure(made, Draft("x", "x"), Reading()).repairs == []
+    assert read_model(made).repairs == []
 
 
 def test_caps_do_not_bond_on_their_far_sides():

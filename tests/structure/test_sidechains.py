@@ -20,7 +20,7 @@ from protochain.structure.molecule.chirality import (
 )
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.templates import templates
-from protochain.structure.preparation.read import read
+from protochain.structure.preparation.prepare import read
 from protochain.structure.sidechains import arms, packing
 from protochain.structure.sidechains.arms import wrapped
 from protochain.structure.sidechains.ideal import (

@@ -7,7 +7,7 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.core.arrays import dihedral
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.preparation.read import read
+from protochain.structure.preparation.prepare import read
 from protochain.structure.write import as_text
 
 OXYGEN_NM = 0.02

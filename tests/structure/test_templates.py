@@ -11,7 +11,7 @@ from protochain.structure.molecule.templates import (
     template_name,
     templates,
 )
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.recognise import _matched
 
 OWN = """\
@@ -141,9 +141,9 @@ def members(*names):
         (("ALA", "NH2"), {}, ["NALA", "NHE"]),
         (("ALA",), {}, ["NALA"]),
         (("ALA", "HIS", "GLY"), {"cyclic": True}, ["ALA", "HIE", "GLY"]),
-        (("HOH",), {"obstacle": True}, ["HOH"]),
-        (("DA", "DC", "G"), {"obstacle": True}, ["DA5", "DC", "G3"]),
-        (("U",), {"obstacle": True}, ["UN"]),
+        (("HOH",), {"evidence": Evidence.ELEMENTS}, ["HOH"]),
+        (("DA", "DC", "G"), {"evidence": Evidence.ELEMENTS}, ["DA5", "DC", "G3"]),
+        (("U",), {"evidence": Evidence.ELEMENTS}, ["UN"]),
     ],
 )
 def test_ends_of_chains_and_strands_have_templates_of_their_own(names, kinds, expected):
@@ -175,11 +175,16 @@ def test_atoms_are_renamed_once_and_never_to_a_name_that_is_there():
 def test_a_draft_knows_its_residues_and_stated_bonds():
     first, second = members("ALA", "GLY")
     second.atoms.append(atom("CA", "C", [1.0, 2.0, 3.0], 4.0))
-    draft = Draft("x", "x", [Part("A", [first]), Part("B", [second], obstacle=True)])
+    draft = Draft("x", "x", [Part("A", [first]), Part("B", [second], evidence=Evidence.ELEMENTS)])
     assert draft.members == [first, second] and [part.cyclic for part in draft.parts] == [False, False]
     a, b, c = ("A", "1", "C"), ("A", "2", "N"), ("B", "1", "C")
     draft.stated.append((a, b))
-    assert draft.states(a, b) and draft.states(b, a) and not draft.states(a, c) and not draft.states(c, b)
+    assert (
+        draft.has_bond(a, b)
+        and draft.has_bond(b, a)
+        and not draft.has_bond(a, c)
+        and not draft.has_bond(c, b)
+    )
     carbon = second.atom("CA")
     assert carbon.pos.tolist() == [1.0, 2.0, 3.0] and carbon.b_iso == 4.0 and carbon.element.name == "C"
     assert second.atom("CB") is None and atom("H", "H", [0.0] * 3).b_iso == 0.0

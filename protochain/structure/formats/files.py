@@ -8,7 +8,7 @@ import lzma
 import re
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
@@ -458,9 +458,9 @@ def number_atoms(structure: gemmi.Structure) -> None:
             atom.fraction = place
 
 
-def place_in_file(atom: gemmi.Atom) -> int:
-    """Place of an atom in its model of the file, from 0; -1 of an atom that was made."""
-    return round(atom.fraction) - 1
+def places_in_file(atoms: Iterable[gemmi.Atom]) -> list[int]:
+    """Place of each atom in its model of the file, from 0; -1 of an atom that was made."""
+    return [round(atom.fraction) - 1 for atom in atoms]
 
 
 def in_file_order(model: gemmi.Model) -> list[tuple[str, gemmi.Atom]]:

@@ -8,12 +8,12 @@ Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulo
 
 from collections.abc import Iterable
 
+import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers, cross, dots, sphere
 from protochain.core.graph import neighbours
-from protochain.structure.molecule.links import is_metal
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
 """nm: bond lengths to hydrogen."""
@@ -62,7 +62,7 @@ class _Placing:
                 self._put(parent, hydrogens, directions)
         still = np.flatnonzero(~self.missing)
         self.still, self.tree = still, KDTree(self.x[still])
-        metals = {symbol for symbol in {*self.element} if is_metal(symbol)}
+        metals = {symbol for symbol in {*self.element} if gemmi.Element(symbol).is_metal}
         self.metals = np.array([k for k in still.tolist() if self.element[k] in metals], dtype=np.int64)
         for parent in turning:
             self._turn_from_metals(parent)

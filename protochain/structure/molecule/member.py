@@ -12,6 +12,13 @@ Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
 
 
+@dataclass(frozen=True)
+class Unknown:
+    """Mark of an amino acid, or a nucleotide of a strand, that no force field has."""
+
+    parent: str = ""  # Standard amino acid that it becomes without parameters; empty if there is none.
+
+
 @dataclass(eq=False)
 class Member:
     """A residue in one conformation, under its standard name."""
@@ -24,19 +31,32 @@ class Member:
     state: str = ""  # Protonation state that its name in the file implies; empty if none.
     # Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
     is_d: bool = False
-    own: Template | None = None  # Made from its own atoms, for a molecule that is kept as it is.
+    # Of its parameters: a template by its chemistry or elements; none if the force field has them.
+    source: Template | Unknown | None = None
     # Its atoms that are bonded to a molecule kept with the protein, and to a metal.
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL  # Label ids of the file.
     given: str = ""  # Its name in the file, where another.
-    odd: bool = False  # Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
-    # Standard amino acid that such a one becomes without parameters; empty if there is none.
-    parent: str = ""
     order: tuple[str, ...] = ()  # Names of its atoms, if those that are added have places among them.
 
     def __str__(self) -> str:
         return str(self.residue)
+
+    @property
+    def template(self) -> Template | None:
+        """Template that it has apart from the force field's."""
+        return self.source if isinstance(self.source, Template) else None
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether it is an amino acid, or a nucleotide of a strand, that no force field has."""
+        return isinstance(self.source, Unknown)
+
+    @property
+    def parent(self) -> str:
+        """Standard amino acid that an unknown one becomes without parameters; empty if there is none."""
+        return self.source.parent if isinstance(self.source, Unknown) else ""
 
     @property
     def residue(self) -> residues.Residue:

@@ -362,6 +362,11 @@ class Repair(Value):
     facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
     lost: tuple[Loss, ...] = ()  # What it takes away.
 
+    @classmethod
+    def of(cls, kind: Kind, lost: tuple[Loss, ...] = (), **facts: Any) -> "Repair":
+        """Describe a change, with the facts that its words name."""
+        return cls(kind, facts, lost)
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
 

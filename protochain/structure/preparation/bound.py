@@ -5,19 +5,17 @@ which the force field of small molecules has no parameters, stays in place, and 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase, digits
-from typing import Any
 
 import gemmi
 import numpy as np
 
-from protochain.core import defaults
 from protochain.core.arrays import read_only
-from protochain.core.checks import CHARGE_RULES, LigandSource, charges_of_ligands
-from protochain.core.checks import ligands as ligands_of
+from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
@@ -30,10 +28,10 @@ from protochain.ligands.sources import of_residue
 from protochain.structure.formats.ions import oxidation_state
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE, Template
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation.draft import Changes, Charging, Chemistry, Draft, Evidence, Part
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
@@ -41,60 +39,12 @@ _DECIMALS = 5
 """Of angstrom: libraries differ in the last bits."""
 
 
-Charging = tuple[Molecule, tuple[Charged, ...]]
-"""A molecule as it is at a pH, and what was charged."""
-
-
-@dataclass(frozen=True)
-class Chemistry:
-    """Where the chemistry of molecules kept with the protein comes from."""
-
-    # What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
-    sources: tuple[LigandSource, ...] = ()
-    charges: str = defaults.LIGAND_CHARGES  # As for :func:`protochain.ligand`.
-    ph: float = defaults.PH
-    has_glycam: bool = True  # Whether the force field is one that GLYCAM-06j goes with.
-    has_sage: bool = True  # Whether it is one that Sage goes with where molecules are bonded to residues.
-    # Poses that were added, by the name of the residue.
-    posed: Mapping[str, "Charging"] = field(default_factory=dict, compare=False)
-
-    @classmethod
-    def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
-        """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
-        given, charges = ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges")
-        glycam = not forcefield or HAS_GLYCAM in forcefield
-        return cls(given, charges, ph, glycam, glycam or HAS_SAGE in forcefield)
-
-    @property
-    def named(self) -> dict[str, str]:
-        """What is given, by the name of the residue."""
-        return {name: given for name, given in self.sources if name}
-
-    @property
-    def moving(self) -> set[str]:
-        """Names of residues that are to move, whatever else is kept."""
-        return {*self.named, *self.posed}
-
-    def charged(self, molecule: Molecule, given: bool, donors: Collection[str] = ()) -> Charging:
-        """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
-        return at_ph(molecule, self.ph, donors) if _is_charged_by_ph(molecule, given) else (molecule, ())
-
-    @property
-    def poses(self) -> list[str]:
-        """Paths of the molecules to add."""
-        return [given for name, given in self.sources if not name]
-
-
-AS_KNOWN = Chemistry()
-"""Of the file, or of the dictionary."""
-
-
 def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:
     """Return the molecule of a file as a residue outside the protein, and the chemistry with it."""
     given = of_residue("", given=Path(path))
     if given.positions is None:
         raise StructureError(f"{path}: has no coordinates in space; dock it first")
-    molecule, charged = chemistry.charged(given, given=True)
+    molecule, charged = _charged(chemistry, given, is_given=True)
     assert molecule.positions is not None
     name = next(each for k in count() if (each := f"L{k:02d}" if k else "LIG") not in names)
     chain = next((each for each in ascii_uppercase + ascii_lowercase + digits if each not in chains), "Z")
@@ -111,13 +61,17 @@ def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]
 class Chemist:
     """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
 
-    def __init__(self, draft: Draft, chemistry: Chemistry, known: Mapping[str, Template]) -> None:
-        self.draft, self.chemistry, self.templates = draft, chemistry, known
-        self.metals = [(m, a) for m in draft.members for a in m.atoms if is_metal(a.element.name)]
-        self.known: dict[str, Charging] = dict(chemistry.posed)
+    def __init__(self, draft: Draft) -> None:
+        self.draft, self.chemistry, self.templates = draft, draft.reading.chemistry, draft.templates
+        self.known: dict[str, Charging] = dict(self.chemistry.posed)
         self.made: dict[tuple[object, ...], Ligand] = {}
 
-    def settle(self, part: Part) -> None:
+    @cached_property
+    def metals(self) -> list[tuple[Member, gemmi.Atom]]:
+        """Metals of the draft."""
+        return [(m, a) for m in self.draft.members for a in m.atoms if is_metal(a.element.name)]
+
+    def settle(self, part: Part) -> Changes:
         """Let a molecule move if its chemistry is known; a repair says why one is not."""
         (member,) = part.members
         name = member.given or member.name
@@ -142,18 +96,19 @@ class Chemist:
             # What the user gives is not left aside.
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
-            self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
-            self._charge_as_known(name, member)
+            yield Repair.of(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
+            yield from self._charge_as_known(name, member)
             return
-        part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
+        part.inverted, part.posed = at.inverted, name in self.chemistry.posed
+        part.evidence = Evidence.CHEMISTRY
 
-    def _charge_as_known(self, name: str, member: Member) -> None:
+    def _charge_as_known(self, name: str, member: Member) -> Changes:
         """Give an inorganic ion that stays in place the dictionary's charges, unless the file has charges."""
         known = {} if any(a.charge or a.element.name == "C" for a in member.atoms) else charges(name)
         for each in member.atoms:
             each.charge = known.get(each.name, 0) or each.charge
         if total := sum(each.charge for each in member.atoms if each.name in known):
-            self.draft.note(Kind.CHARGES_OF_DICTIONARY, residue=member.residue, charge=f"{total:+d}")
+            yield Repair.of(Kind.CHARGES_OF_DICTIONARY, residue=member.residue, charge=f"{total:+d}")
 
     def _parametrised(self, molecule: Molecule, charged: tuple[Charged, ...]) -> Ligand:
         """The molecule with its parameters, which copies of it share."""
@@ -202,8 +157,16 @@ class Chemist:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
             free, is_given = self._of_source(member), name in self.chemistry.named
-            self.known[name] = self.chemistry.charged(free, is_given, inner_donors(member))
+            self.known[name] = _charged(self.chemistry, free, is_given, inner_donors(member))
         return self.known[name]
+
+
+def _charged(
+    chemistry: Chemistry, molecule: Molecule, is_given: bool, donors: Collection[str] = ()
+) -> Charging:
+    """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
+    by_ph = _is_charged_by_ph(molecule, is_given)
+    return at_ph(molecule, chemistry.ph, donors) if by_ph else (molecule, ())
 
 
 def _is_charged_by_ph(molecule: Molecule, given: bool) -> bool:
@@ -221,11 +184,11 @@ def inner_donors(member: Member) -> set[str]:
     return {a.name for a in member.heavy if any(Link(member, a, *metal).is_coordinated for metal in metals)}
 
 
-def note_metals(draft: Draft, member: Member, metals: Sequence[gemmi.Atom]) -> None:
+def report_metals(member: Member, metals: Sequence[gemmi.Atom]) -> Changes:
     """Report metals whose bonds are springs."""
     if metals:
         atoms = tuple(f"{a.name} {a.charge:+d}" for a in metals)
-        draft.note(Kind.COMPLEX, residue=member.residue, atoms=atoms)
+        yield Repair.of(Kind.COMPLEX, residue=member.residue, atoms=atoms)
 
 
 def charged_metals(member: Member, name: str, names: Collection[str]) -> list[gemmi.Atom]:
@@ -315,33 +278,42 @@ def _named_apart(molecule: Molecule) -> Molecule:
     return replace(molecule, names=tuple(names))
 
 
-def take_up(draft: Draft, ph: float) -> None:
-    """Say what the ligands of a draft that move are, and give them their templates."""
+def parametrise_ligands(draft: Draft) -> Changes:
+    """Let the small molecules move whose chemistry is known."""
+    chemist = Chemist(draft)
+    for part in draft.parts:
+        if part.evidence is Evidence.SMALL:
+            yield from chemist.settle(part)
+
+
+def take_ligands(draft: Draft) -> Changes:
+    """Report the ligands of a draft that move, and give them their templates."""
+    ph = draft.reading.chemistry.ph
     for part in draft.parts:
         part.ligand = part.ligand if part.mobile else None
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
         its, metals = member.residue, charged_metals(member, member.given or member.name, molecule.names)
-        member.own = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
+        member.source = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
         charge |= {a.name: a.charge for a in metals}
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
-        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{sum(charge.values()):+d}")
-        note_metals(draft, member, metals)
+        yield Repair.of(Kind.BOUND, residue=its, source=molecule.source, charge=f"{sum(charge.values()):+d}")
+        yield from report_metals(member, metals)
         if part.ligand.outside:
-            draft.note(Kind.CHARGES_OF_MMFF94, residue=its, atoms=part.ligand.outside)
+            yield Repair.of(Kind.CHARGES_OF_MMFF94, residue=its, atoms=part.ligand.outside)
         if part.ligand.charged:
             atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
-            draft.note(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)
+            yield Repair.of(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)
         if part.ligand.unsure:
-            draft.note(Kind.CHARGE_UNSURE, residue=its, ph=ph, atoms=part.ligand.unsure)
+            yield Repair.of(Kind.CHARGE_UNSURE, residue=its, ph=ph, atoms=part.ligand.unsure)
         if part.inverted:
-            draft.note(Kind.INVERTED, residue=its, atoms=part.inverted)
+            yield Repair.of(Kind.INVERTED, residue=its, atoms=part.inverted)
 
 
-def put_hydrogens(draft: Draft) -> None:
+def put_hydrogens(draft: Draft) -> tuple[()]:
     """Put hydrogens of ligands where their molecules have them; those at O and S turn later, as others do."""
     for part in draft.parts:
         if part.ligand is None:
@@ -355,6 +327,7 @@ def put_hydrogens(draft: Draft) -> None:
             elif np.isnan(each.pos.x) and parent not in ("O", "S"):
                 x = ANGSTROM_PER_NM * molecule.positions[molecule.names.index(each.name)]
                 each.pos = gemmi.Position(*np.round(x, _DECIMALS))
+    return ()
 
 
 def template_of(

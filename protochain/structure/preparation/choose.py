@@ -1,39 +1,57 @@
-"""Which model of a file, and which of its chains, are used."""
+"""What of a file is used: an assembly, a model, chains, and one conformation of each residue."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import dist, isfinite, nan
+from typing import NamedTuple
 
 import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
+from protochain.core.graph import components
 from protochain.structure.formats.apart import chain_names, refuse_copies
-from protochain.structure.formats.files import number_atoms
-from protochain.structure.molecule.repairs import Kind
-from protochain.structure.preparation.draft import Draft
+from protochain.structure.formats.files import in_file_order, number_atoms
+from protochain.structure.molecule.header import take_header
+from protochain.structure.molecule.repairs import Kind, Repair
+from protochain.structure.molecule.residues import STANDARD, STATE_PARENT, Atom, Residue
+from protochain.structure.molecule.templates import templates
+from protochain.structure.preparation.draft import Changes, Draft, Omission
 
 MODELS = "models"
 """Name of the assembly of all models of a file."""
 _SAME = 0.02
 """Angstrom: copies differ by the digits of a file alone; models of an experiment by more."""
-_UPON, _SHARED = 1.0, 0.05
-"""Angstrom between atoms in one place, and the largest share of such atoms in copies."""
+_UPON, _EXCLUDED = 1.0, 2.0
+"""Angstrom: atoms nearer than this are not there at once, and ions further from others."""
+_SHARED = 0.05
+"""The largest share of atoms in one place in copies."""
+_TOGETHER = 2.5
+"""Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
+_WHOLE = "whole-"
+"""Letter of a molecule that is there in part, as all alternate locations are, but has none."""
 
 
-def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
+def build_assembly(draft: Draft) -> Changes:
     """Build a biological assembly in the place of the molecules as filed, or join its models."""
-    if name == MODELS:
-        return _join_models(draft, structure)
+    structure, name = draft.file, draft.reading.assembly
+    if name:
+        before = {chain.name for chain in structure[0]}
+        _join_models(draft, structure) if name == MODELS else _transform(draft, structure, name)
+        number_atoms(structure)
+        chains = tuple(chain.name for chain in structure[0])
+        yield Repair.of(Kind.ASSEMBLY, name=name, before=len(before), chains=chains)
+
+
+def _transform(draft: Draft, structure: gemmi.Structure, name: str) -> None:
+    """Build an assembly that the file states."""
     there = [each.name for each in structure.assemblies]
     if name not in there:
         known = f"it has {', '.join(there)}" if there else "it states none"
         raise StructureError(f"{draft.source}: has no assembly {name}; {known}")
-    before = {chain.name for chain in structure[0]}
     structure.transform_to_assembly(name, gemmi.HowToNameCopiedChain.Short)
     structure.merge_chain_parts()
-    number_atoms(structure)
-    made = [chain.name for chain in structure[0]]
-    draft.note(Kind.ASSEMBLY, name=name, before=len(before), chains=tuple(made))
 
 
 def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
@@ -42,8 +60,7 @@ def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
         raise StructureError(
             f"{draft.source}: has one model: there are none to join; change or omit assembly"
         )
-    before = [chain.name for chain in structure[0]]
-    used = {*before}
+    used = {chain.name for chain in structure[0]}
     for k in range(1, len(structure)):
         names: dict[str, str] = {}
         for chain in structure[k]:
@@ -57,9 +74,6 @@ def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
     while len(structure) > 1:
         del structure[1]
     structure.merge_chain_parts()
-    number_atoms(structure)
-    chains = tuple(chain.name for chain in structure[0])
-    draft.note(Kind.ASSEMBLY, name=MODELS, before=len({*before}), chains=chains)
 
 
 def _are_copies(structure: gemmi.Structure) -> bool:
@@ -81,34 +95,58 @@ def _are_copies(structure: gemmi.Structure) -> bool:
     return True
 
 
-def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
-    """Return the model of that number, or the first; the draft's repairs tell of the others."""
+def choose_model(draft: Draft) -> Changes:
+    """Use the model that is asked for, or the first; report the others."""
+    structure, number = draft.file, draft.reading.model
+    draft.header = take_header(structure, draft.header)
     numbers = [model.num for model in structure]
     refuse_absent(draft.source, numbers, [] if number is None else [number])
-    chosen = 0 if number is None else numbers.index(number)
     if len(structure) > 1:
         if number is None:
             kind = Kind.MODELS_ARE_COPIES if _are_copies(structure) else Kind.MODELS_LEFT_OUT
             remedy = Argument("assembly", MODELS)
-            draft.note(kind, used=structure[0].num, count=len(structure) - 1, remedy=remedy)
-        draft.left_out["models"] = len(structure) - 1
-    draft.model_number = structure[chosen].num
-    return structure[chosen]
+            yield Repair.of(kind, used=structure[0].num, count=len(structure) - 1, remedy=remedy)
+        yield Omission("models", len(structure) - 1)
+    draft.model = structure[0 if number is None else numbers.index(number)]
+    draft.model_number = draft.model.num
+    draft.filed = tuple(name for name, _ in in_file_order(draft.model))
+    _check_altloc(draft)
 
 
-def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> list[gemmi.Chain]:
-    """Return the chains of these names, or all, in the order of the file."""
-    for chain in model:
+def choose_chains(draft: Draft) -> Changes:
+    """Use the chains that are asked for, or all, in the order of the file."""
+    names = draft.reading.chains
+    for chain in draft.model:
         chain.name = chain.name.strip()
-    there = [chain.name for chain in model]
+    there = [chain.name for chain in draft.model]
     absent = next((name for name in names if name not in there), None)
     if absent is not None:
         known = ", ".join(name or "(blank)" for name in dict.fromkeys(there))
         raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {known}")
-    used = [chain for chain in model if not names or chain.name in names]
-    refuse_copies(used, draft.source)
-    draft.left_out["chains"] = len(there) - len(used)
-    return used
+    draft.chains = [chain for chain in draft.model if not names or chain.name in names]
+    refuse_copies(draft.chains, draft.source)
+    if n := len(there) - len(draft.chains):
+        yield Omission("chains", n)
+
+
+def choose_altlocs(draft: Draft) -> Changes:
+    """Choose one state of the residues that touch; of two that are never there at once, leave out one."""
+    places = [(chain.name, group) for chain in draft.chains for group in same_place(chain)]
+    letters, gives_way = agreed([group for _, group in places], draft.reading.altloc)
+    draft.places = {chain.name: [] for chain in draft.chains}
+    for k, (name, group) in enumerate(places):
+        if k not in gives_way:
+            draft.places[name].append((group, letters[k]))
+            continue
+        yield Omission("alternate locations", 1)
+        residue, other = (in_file(places[p][0], places[p][1][0]) for p in (k, gives_way[k]))
+        if not group[0].is_water():
+            yield Repair.of(Kind.EXCLUDED, residue=residue, other=other, occupancy=group[0][0].occ)
+
+
+def in_file(chain: str, residue: gemmi.Residue) -> Residue:
+    """What a file calls a residue."""
+    return Residue(chain, str(residue.seqid).strip(), residue.name)
 
 
 def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:
@@ -119,3 +157,191 @@ def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> 
         listed = f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
         its = f"its only model is {numbers[0]}" if len(numbers) == 1 else f"its models are {listed}"
         raise StructureError(f"{source}: has no model {absent}; {its}")
+
+
+@dataclass(frozen=True, eq=False)
+class Conformation:
+    """Chosen conformation of a residue."""
+
+    residue: gemmi.Residue  # Without alternate locations.
+    altloc: str
+    occupancy: float  # Mean over the atoms of the chosen location.
+    others: list[str]  # Alternates left out: ``SER B``.
+    repeated: list[str]  # Names of atoms that occurred more than once.
+
+
+def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
+    """Group copies of residues that share a number, the alternatives of microheterogeneity."""
+    groups: list[list[gemmi.Residue]] = []
+    amino: dict[str, list[gemmi.Residue]] = {}
+    for residue in map(gemmi.Residue.clone, chain):
+        number, has_altloc = str(residue.seqid), residue[0].has_altloc()
+        if has_altloc and number in amino and residue.get_ca():
+            # Of two states, the first may be whole before the second begins.
+            amino[number].append(residue)
+        elif groups and groups[-1][0].seqid == residue.seqid and has_altloc:
+            groups[-1].append(residue)
+        else:
+            groups.append([residue])
+            if has_altloc and residue.get_ca():
+                amino[number] = groups[-1]
+    return groups
+
+
+class _Partial(NamedTuple):
+    """An atom that is there in one state: its place, letter, occupancy, and position (angstrom)."""
+
+    place: int
+    letter: str
+    occupancy: float
+    x: list[float]
+
+
+def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
+    """Choose one state of those places that touch: the letter of most molecules, then occupancy."""
+    letters, gives_way = [asked] * len(places), dict[int, int]()
+    atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
+    if not atoms:
+        return letters, gives_way
+    touching = [
+        (atoms[i], atoms[j], length)
+        for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_TOGETHER)
+        if atoms[i].place != atoms[j].place
+        and (
+            (length := dist(atoms[i].x, atoms[j].x)) < _UPON
+            or not any(atoms[k].letter.startswith(_WHOLE) for k in (i, j))
+        )
+    ]
+    pairs = np.array([(a.place, b.place) for a, b, _ in touching], dtype=np.int64).reshape(-1, 2)
+    group = components(pairs, len(places))
+    for its in np.unique(group[pairs]).tolist():
+        mine = [atom for atom in atoms if group[atom.place] == its]
+        occupancies: dict[str, list[float]] = {}
+        having: dict[str, set[int]] = {}
+        for atom in mine:
+            occupancies.setdefault(atom.letter, []).append(atom.occupancy)
+            is_water = places[atom.place][0].is_water()
+            having.setdefault(atom.letter, set()).update([] if is_water else [atom.place])
+        rank = {each: (each == asked, len(having[each]), np.mean(occupancies[each])) for each in having}
+        for atom in mine:
+            letters[atom.place] = max(rank, key=rank.__getitem__)
+    there = {(atom.place, atom.letter) for atom in atoms}
+    for a, b, length in touching:
+        for first, second in ((a, b), (b, a)):
+            has, lacks = ((each.place, letters[each.place]) in there for each in (first, second))
+            if (
+                first.letter == letters[first.place] and has and not lacks
+                and length < (_EXCLUDED if len(places[second.place][0]) == 1 else _UPON)
+                and not places[second.place][0].get_ca()
+            ):  # fmt: skip
+                gives_way[second.place] = first.place
+    return letters, gives_way
+
+
+def _partial(place: int, group: list[gemmi.Residue]) -> Iterator[_Partial]:
+    """Heavy atoms of a place that another state lacks: all, of a molecule with part of the occupancy."""
+    heavy = [atom for residue in group for atom in residue if not atom.is_hydrogen()]
+    whole = not any(atom.has_altloc() for atom in heavy) and not group[0].get_ca()
+    for atom in heavy:
+        if atom.has_altloc() or (whole and 0.0 < atom.occ < 1.0):
+            letter = atom.altloc if atom.has_altloc() else f"{_WHOLE}{place}"
+            yield _Partial(place, letter, atom.occ, atom.pos.tolist())
+
+
+def _check_altloc(draft: Draft) -> None:
+    """Refuse an alternate location that no atom has."""
+    asked = draft.reading.altloc
+    found = {cra.atom.altloc for cra in draft.model.all() if cra.atom.has_altloc()}
+    if asked and asked not in found:
+        there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
+        raise StructureError(
+            f"{draft.source}: has no alternate location {asked!r}: {there}; change or omit ",
+            Argument("altloc"),
+        )
+
+
+def correct_atoms(draft: Draft) -> Changes:
+    """Correct occupancies that no file can have, deuterium, and elements that names contradict."""
+    unknown = 0
+    for place in draft.model.all():
+        atom = place.atom
+        atom.b_iso = atom.b_iso if isfinite(atom.b_iso) else nan
+        if not abs(atom.occ) < 1000.0:  # Or no columns of the PDB format hold it.
+            unknown += 1
+            atom.occ = 0.0
+    if unknown:
+        yield Repair.of(Kind.NOT_A_NUMBER, count=unknown)
+    if heavy := _replace_deuterium(draft.model):
+        yield Repair.of(Kind.DEUTERIUM, count=heavy)
+    if corrected := _correct_elements(draft.model):
+        yield Repair.of(Kind.ELEMENTS, count=len(corrected), atom=corrected[0])
+
+
+def _replace_deuterium(model: gemmi.Model) -> int:
+    """Make hydrogens of deuterium atoms of a model, by element and name, and return how many there are."""
+    heavy = [place for place in model.all() if place.atom.element.name == "D"]
+    for place in heavy:
+        place.atom.element = gemmi.Element("H")
+        name = place.atom.name.replace("D", "H", 1)
+        namesakes = [atom for atom in place.residue if atom.name == name]
+        # Of a hydrogen and a deuterium on one place each is an alternate location.
+        if all(each.has_altloc() and each.altloc != place.atom.altloc for each in namesakes):
+            place.atom.name = name
+    return len(heavy)
+
+
+def _correct_elements(model: gemmi.Model) -> list[Atom]:
+    """Give atoms of standard residues the elements of their names; return those that had another."""
+    known = {name: its for name, its in templates().items() if name in {*STANDARD, *STATE_PARENT}}
+    found = []
+    for place in model.all():
+        chain, residue, atom = place.chain, place.residue, place.atom
+        if (its := known.get(residue.name)) is None:
+            continue
+        element = its.element.get(its.synonyms.get(atom.name, atom.name), atom.element.name)
+        if element != atom.element.name:
+            atom.element = gemmi.Element(element)
+            found.append(
+                Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))
+            )
+    return found
+
+
+def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
+    """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
+    names = [atom.name for atom in group[0] if not atom.has_altloc()]
+    if len(group) == 1 and len({*names}) == len(group[0]):
+        return Conformation(group[0], "", 1.0, [], [])
+    weights: dict[tuple[int, str], list[float]] = {}
+    for i, residue in enumerate(group):
+        for atom in residue:
+            if atom.has_altloc():
+                weights.setdefault((i, atom.altloc), []).append(atom.occ)
+    wanted = [place for place in weights if place[1] == asked]
+    best, altloc = max(wanted or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
+    chosen = group[best]
+    _complete_backbone(chosen, group)
+    # Atoms that only another location has are kept; of two with one name, the first.
+    ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
+    kept: dict[str, int] = {}
+    for i in ranked:
+        kept.setdefault(chosen[i].name, i)
+    repeated = sorted({chosen[i].name for i in set(ranked) - set(kept.values())})
+    # Hydrogens of another location are dropped: their parent atom lies elsewhere there.
+    of_others = [i for i in ranked if chosen[i].is_hydrogen() and chosen[i].altloc not in (altloc, "\0")]
+    for i in sorted({*(set(ranked) - set(kept.values())), *of_others}, reverse=True):
+        del chosen[i]
+    for atom in chosen:
+        atom.altloc = "\0"
+    others = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
+    occupancy = float(np.mean(weights.get((best, altloc), [1.0])))
+    return Conformation(chosen, altloc, occupancy, others, repeated)
+
+
+def _complete_backbone(chosen: gemmi.Residue, group: list[gemmi.Residue]) -> None:
+    """Add shared backbone atoms that the file gives with one of the alternatives only."""
+    for residue in group:
+        present = {atom.name for atom in chosen}
+        for atom in residue:
+            if atom.name in ("N", "CA", "C", "O") and atom.name not in present and residue is not chosen:
+                chosen.add_atom(atom)

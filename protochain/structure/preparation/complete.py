@@ -1,6 +1,6 @@
-"""Assign templates and add missing heavy atoms."""
+"""Missing heavy atoms: of the backbone between its neighbours, of side chains on rotamers."""
 
-from collections.abc import Mapping
+from collections.abc import Generator, Sequence
 
 import gemmi
 import numpy as np
@@ -10,9 +10,9 @@ from protochain.core.errors import StructureError
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import centres, handedness, inverted_atoms
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.repairs import Kind, Renamed, Why
+from protochain.structure.molecule.repairs import Kind, Renamed, Repair, Why
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.draft import Draft, Part, losses
+from protochain.structure.preparation.draft import Changes, Draft, Part, losses
 from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed, unit
 from protochain.structure.sidechains.sites import Site
 
@@ -25,16 +25,31 @@ _FLAT = 0.1
 """Angstrom^2: area of N-CA-C below which they are on one line."""
 _DECIMALS = 4
 """Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
+_BONDS = {
+    ("C-", "N"): 1.336, ("N", "CA"): 1.459, ("CA", "C"): 1.525, ("C", "N+"): 1.336, ("C", "O"): 1.229,
+    ("CA", "CB"): 1.532,
+}  # fmt: skip
+"""Angstrom: Engh, Huber, International Tables for Crystallography F, 18.3 (2001)."""
+_ACROSS = {
+    ("CA-", "N"): 2.43, ("O-", "N"): 2.25, ("C-", "CA"): 2.43, ("N", "C"): 2.46, ("N", "CB"): 2.46,
+    ("C", "CB"): 2.50, ("CA", "O"): 2.40, ("CA", "N+"): 2.43, ("O", "N+"): 2.25, ("C", "CA+"): 2.43,
+}  # fmt: skip
+"""Angstrom: the same across an angle."""
+_TRANS = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
+"""Angstrom: across a peptide bond; a cis one has 2.9, and is told from it by the other distances alone."""
+_OFF = 0.25
+"""Angstrom by which a bond of a rebuilt atom may be off."""
+_STARTS = 8
 
 
-def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
+def add_heavy_atoms(draft: Draft) -> Changes:
     """Rename atoms to their PDB names, and add missing heavy atoms: side chains ideal, on rotamers."""
     renamed: list[Renamed] = []
     open_ended: list[Member] = []
     lacking: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
         for i, member in enumerate(part.members):
-            template = part.template(known, i)
+            template = part.template(draft.templates, i)
             if template is None:
                 where = "" if part.obstacle else " at the end of a chain"
                 raise StructureError(
@@ -44,7 +59,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 Renamed(before, residues.Atom(after, member.residue))
                 for before, after in rename(member.atoms, template)
             ]
-            _check_heavy_atoms(draft, member, template)
+            yield from _check_heavy_atoms(draft, member, template)
             there = {each.name for each in member.atoms}
             missing = [name for name in template.heavy if name not in there]
             if "OXT" in missing:
@@ -53,23 +68,23 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
             if "OP3" in missing:
                 missing.remove("OP3")
                 if not missing:
-                    draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=("OP3",))
+                    yield Repair.of(Kind.ATOMS_ADDED, residue=member.residue, atoms=("OP3",))
                     member.atoms.insert(1, _terminal_oxygen(draft, member, "OP3"))
             if missing:
                 lacking.append((part, i, missing))
     if renamed:
-        draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
+        yield Repair.of(Kind.ATOMS_RENAMED, changes=tuple(renamed))
     of_chains = [m for part in draft.parts if not part.obstacle for m in part.members]
     # Those with a source of their own are told by it; a D-amino acid's may be of its mirror image.
-    if inverted := inverted_atoms([m for m in of_chains if m.own is None or m.is_d]):
-        draft.note(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
-    _rebuild(draft, lacking)
+    if inverted := inverted_atoms([m for m in of_chains if m.template is None or m.is_d]):
+        yield Repair.of(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
+    yield from _rebuild(draft, lacking)
     for member in open_ended:
-        draft.note(Kind.OXT_ADDED, residue=member.residue)
+        yield Repair.of(Kind.OXT_ADDED, residue=member.residue)
         member.atoms.append(_terminal_oxygen(draft, member, "OXT"))
 
 
-def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
+def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Changes:
     """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
     strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
     if strange:
@@ -77,9 +92,10 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
             f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
             "rename or remove it"
         )
-    if "OXT" not in template.element and member.atom("OXT"):
-        gone = losses(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
-        draft.note(Kind.INNER_OXT, gone, residue=member.residue)
+    inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
+    if inner:
+        gone = losses(member, inner, Why.INNER)
+        yield Repair.of(Kind.INNER_OXT, gone, residue=member.residue)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 
@@ -98,7 +114,7 @@ def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
     return atom(name, "O", (at + distance * away / length).tolist(), member.atoms[0].b_iso)
 
 
-def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
+def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> Changes:
     """Build missing heavy atoms: oxygens of the backbone, then side chains, all at once."""
     for part, i, missing in lacking:
         member = part.members[i]
@@ -107,40 +123,43 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
                 f"{draft.source}: {member}: atom {missing[0]} missing; build it, or remove the residue"
             )
         _check_backbone(draft, member)
-        draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
+        yield Repair.of(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
     for part, i, missing in lacking:
         if "O" in missing:
             _add(part.members[i], {"O": _oxygen(draft, part, i)})
-    sites = [(_site(draft, part, i), set(missing)) for part, i, missing in lacking if missing != ["O"]]
+    sites: list[tuple[Site, set[str]]] = []
+    for part, i, missing in lacking:
+        if missing != ["O"]:
+            sites.append(((yield from _site(part, i)), set(missing)))
     for site, _ in sites:
         between = bridged(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in between.items()})
     open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
     if open_ended:
-        _pack(draft, open_ended)
+        yield from _pack(draft, open_ended)
     for site, added in sites:
         _check_hand(draft, site, added)
 
 
-def _pack(draft: Draft, sites: list[Site]) -> None:
+def _pack(draft: Draft, sites: list[Site]) -> Changes:
     """Put side chains into the best of their rotamers."""
     # Imported here: reading a whole structure need not wait for its kernels.
     from protochain.structure.sidechains.packing import packed
 
     found = packed(draft.members, sites)
     if not found.is_proven:
-        draft.note(Kind.NOT_PROVEN)
+        yield Repair.of(Kind.NOT_PROVEN)
     for site, places in zip(sites, found.places, strict=True):
         _add(site.member, places)
 
 
-def _site(draft: Draft, part: Part, i: int) -> Site:
+def _site(part: Part, i: int) -> Generator[Repair, None, Site]:
     """The residue and its neighbours, of the configuration that its CB has or that its name says."""
     member = part.members[i]
     sign = handedness(member) or (-1 if member.is_d else 1)
     if not handedness(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
-        draft.note(Kind.BUILT_AS_D, residue=member.residue)
+        yield Repair.of(Kind.BUILT_AS_D, residue=member.residue)
     return Site(member, sign, *part.around(i))
 
 
@@ -224,3 +243,52 @@ def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
     room = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
     # The other oxygen of the carboxylate will be opposite.
     return places[int(np.argmax(np.round(np.minimum(room, np.roll(room, len(turns) // 2)), 4)))]
+
+
+def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
+    """Build the atoms of the backbone that residue i lacks, where its neighbours say where they are."""
+    member = run[i]
+    missing = tuple(name for name in residues.BACKBONE if not member.atom(name))
+    if not missing or member.is_cap:
+        return ()
+    at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
+    for step, mark in ((-1, "-"), (1, "+")):
+        if 0 <= i + step < len(run):
+            at |= {a.name + mark: np.array(a.pos.tolist()) for a in run[i + step].atoms}
+    found = _built(missing, at)
+    if found is None:
+        return ()
+    b_iso = float(np.mean([a.b_iso for a in member.atoms]))
+    for name, x in zip(missing, found, strict=True):
+        member.atoms.insert(
+            residues.BACKBONE.index(name), atom(name, name[0], np.round(x, 4).tolist(), b_iso)
+        )
+    return missing
+
+
+def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
+    """Places (n, 3) of atoms at the usual distances from others; None if no bond may be so long or short."""
+    ends = {"N": ("C-", "CA-"), "CA": (), "C": ("N+", "CA+")}
+    if not {end for name in missing for end in ends[name]} <= at.keys():
+        return None
+    usual = _BONDS | _ACROSS | (_TRANS if len(missing) > 1 else {})
+    pairs = [(pair, d) for pair, d in usual.items() if {*pair} & {*missing} and {*pair} <= {*missing, *at}]
+    if len(pairs) <= 3 * len(missing):  # Places are not determined.
+        return None
+    weight = np.array([1.0 if pair in _BONDS else 0.5 for pair, _ in pairs])
+
+    from scipy.optimize import least_squares
+
+    def off(x: Floats) -> Floats:
+        there = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
+        return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
+
+    def weighted(x: Floats) -> Floats:
+        return np.asarray(weight * off(x))
+
+    near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
+    starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
+    found = [least_squares(weighted, each.ravel()) for each in starts]
+    best = min(found, key=lambda each: float(each.cost))
+    bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
+    return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None

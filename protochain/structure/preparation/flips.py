@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers, cross
-from protochain.structure.formats.files import place_in_file
+from protochain.structure.formats.files import places_in_file
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.templates import Template
 
@@ -154,14 +154,12 @@ def _is_free_amide(member: Member) -> bool:
     """Whether it is an amide of the file that shows no hydrogens, and is bonded to nothing else."""
     names = _TURNING.get(member.name, ())
     ends = [a for a in member.atoms if a.name in (*names, *_AXIS.get(member.name, ()))]
-    if len(names) != 2 or len(ends) != 4 or member.own is not None:
+    if len(names) != 2 or len(ends) != 4 or member.template is not None:
         return False
     hydrogens = {f"H{names[1][1:]}{k}" for k in (1, 2)}
     bonded = {a.name for a in (*member.links, *member.metals)}
     return not (
-        bonded & {*names}
-        or any(a.name in hydrogens for a in member.atoms)
-        or min(place_in_file(a) for a in ends) < 0
+        bonded & {*names} or any(a.name in hydrogens for a in member.atoms) or min(places_in_file(ends)) < 0
     )
 
 

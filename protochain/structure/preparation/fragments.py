@@ -5,7 +5,7 @@ go on. A backbone like alanine's keeps the parameters of alanine, and residues t
 theirs; SMIRNOFF has all terms that touch another atom.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 
 import gemmi
 import numpy as np
@@ -21,15 +21,15 @@ from protochain.structure.formats.records import with_component
 from protochain.structure.molecule.bonding import Graph
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member
-from protochain.structure.molecule.repairs import Kind, Loss, Why
+from protochain.structure.molecule.repairs import Kind, Loss, Repair, Why
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
-from protochain.structure.preparation.bound import Chemist, charged_metals, note_metals, template_of
+from protochain.structure.preparation.bound import Chemist, charged_metals, report_metals, template_of
 from protochain.structure.preparation.capped import Maker, Place
-from protochain.structure.preparation.draft import Draft, Fragment, losses
+from protochain.structure.preparation.draft import Changes, Draft, Evidence, Fragment, Part, losses
 from protochain.structure.preparation.kept import cut
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
-from protochain.structure.preparation.parents import to_parent
+from protochain.structure.preparation.parents import convert_to_parent
 from protochain.structure.preparation.sites import stated_beside
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
@@ -45,32 +45,94 @@ _ACYLS = {
 poor model overlap."""
 
 
-def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
+def assign_chemistry(draft: Draft) -> Changes:
     """Give residues that no template fits their parameters, and report them."""
     where = {
         id(m): Place(part, i, *part.around(i)) for part in draft.parts for i, m in enumerate(part.members)
     }
-    cross = list(_crosslinks(draft, where))
+    cross = yield from _believe(_stated_across(draft, where))
+    cross += _amides(draft, where)
     for link in cross:
         link.member.links.append(link.atom)
         link.other.links.append(link.other_atom)
-    beside = [link for link in links if not link.is_metal] + [*_between(draft)]
+    beside = [x for x in draft.links if not x.is_metal and x not in draft.contacts.sprung]
+    beside += yield from _believe(_between(draft))
     bonds = beside + cross
+    chemist = Chemist(draft)
+    special = _special(draft, chemist, where, bonds)
+    odd = {id(m) for m in special}
+    unknown: list[tuple[Member, ProtochainError | ValueError]] = []
+    still: list[Member] = []
+    for members in _groups(draft, chemist, where, special, bonds):
+        own = [link for link in bonds if any(link.member is m for m in members)]
+        around = [m for m in members if where[id(m)].part.obstacle]
+        try:
+            if around and not chemist.chemistry.has_sage:
+                raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
+            made = Maker(chemist, members, own, where, odd).fragment()
+            yield from _take_in(draft, chemist, made, odd)
+        except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
+            if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
+                raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
+            for m in around:
+                if not (m.is_unknown and where[id(m)].part.mobile):
+                    where[id(m)].part.evidence = Evidence.ELEMENTS
+                if m.is_unknown:
+                    yield Repair.of(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
+                    still.append(m)
+            unknown += [(m, error) for m in members if m.is_unknown and not m.parent and m not in still]
+            yield from _refuse_or_tie(draft, own, error)
+            why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
+            for m in (m for m in members if m.parent):
+                yield from convert_to_parent(draft, m, why)
+            continue
+        bonds = [link for link in bonds if link not in own]
+    if unknown:
+        raise StructureError(f"{draft.source}: ", *_about_unknown(draft, unknown))
+    if still:
+        pieces = list[Part]()
+        for part in draft.parts:
+            pieces += yield from cut(part, [m for m in part.members if m in still])
+        draft.parts = pieces
+    # Bonds of fragments are part of their energy, and a residue that became its parent has lost atoms.
+    gone = {link for link in beside if link not in bonds}
+    draft.links = [
+        link for link in draft.links
+        if link in draft.contacts.sprung
+        or (link not in gone and all(a in m.atoms for m, a, *_ in _both_ways(link)))
+    ]  # fmt: skip
+
+
+def _special(
+    draft: Draft, chemist: Chemist, where: Mapping[int, Place], bonds: Sequence[Link]
+) -> list[Member]:
+    """Residues that no template fits: modified ones, and those whose bonds do not go on with a chain."""
     ends: dict[int, set[str]] = {}
     for link in bonds:
         for m, a, other, its in _both_ways(link):
             is_amine = a.name == "N" and not _is_acyl(chemist, other, its.name)
             ends.setdefault(id(m), set()).add("amine" if is_amine else a.name)
-    for m in draft.members:
-        after, graph = where[id(m)].after, _graph(chemist, m) if m.odd else None
+    for m in (m for m in draft.members if m.is_unknown):
+        after, graph = where[id(m)].after, _graph(chemist, m)
         # The nitrogen after a C with single bonds is an amine.
         if after and graph and {graph.order("C", x) for x in graph.near("C")} == {1}:
             ends.setdefault(id(after), set()).add("amine")
-    special = [
+    return [
         m for m in draft.members
-        if m.odd or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
+        if m.is_unknown or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
     ]  # fmt: skip
-    odd = {id(m) for m in special}
+
+
+def _groups(
+    draft: Draft,
+    chemist: Chemist,
+    where: Mapping[int, Place],
+    special: Sequence[Member],
+    bonds: Sequence[Link],
+) -> Iterator[list[Member]]:
+    """Residues that bonds join to those that no template fits, or whose terms these change."""
+    if not special:
+        return
     number = {key: k for k, key in enumerate(where)}
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
@@ -79,74 +141,44 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         if where[id(m)].part.obstacle:
             # Joined as usual, no term has changed atoms of both.
             is_usual = before and before.atom("O3'") and all(map(m.atom, ("P", "OP1", "OP2", "O5'")))
-            wide = [before] if before and before.odd and not is_usual else []
+            wide = [before] if before and before.is_unknown and not is_usual else []
         elif (before or after) and (graph := _graph(chemist, m)) and not graph.backbone(""):
             wide = [before, after]
         pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
-    unknown: list[tuple[Member, ProtochainError | ValueError]] = []
-    still: list[Member] = []
     for g in dict.fromkeys(int(group[number[id(m)]]) for m in special):
-        mine = [m for m in draft.members if group[number[id(m)]] == g]
-        own = [link for link in bonds if any(link.member is m for m in mine)]
-        around = [m for m in mine if where[id(m)].part.obstacle]
-        try:
-            if around and not chemist.chemistry.has_sage:
-                raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
-            _take_in(draft, chemist, Maker(chemist, mine, own, where, odd).fragment(), odd)
-        except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
-            if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
-                raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
-            for m in around:
-                where[id(m)].part.is_small = False
-                where[id(m)].part.mobile &= m.odd
-                if m.odd:
-                    draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
-                    still.append(m)
-            unknown += [(m, error) for m in mine if m.odd and not m.parent and m not in still]
-            _refuse_or_tie(draft, own, error)
-            why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
-            for m in (m for m in mine if m.parent):
-                to_parent(draft, chemist.templates, m, why)
-            continue
-        bonds = [link for link in bonds if link not in own]
-    if unknown:
-        raise StructureError(f"{draft.source}: ", *_about_unknown(draft, unknown))
-    draft.parts = [
-        piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
-    ]
-    # A residue that became its parent has lost atoms.
-    links = [link for link in links if link in bonds or link not in beside]
-    return [link for link in links if all(a in m.atoms for m, a, *_ in _both_ways(link))]
+        yield [m for m in draft.members if group[number[id(m)]] == g]
 
 
 def _between(draft: Draft) -> Iterator[Link]:
-    """Bonds that the file states between kept molecules, but of metals and known glycans; report others."""
+    """Bonds that the file states between kept molecules, but of metals and known glycans."""
     parts = {id(m): part for part in draft.parts for m in part.members}
     for link in stated_beside(draft):
         (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
         if (
-            link.atom.element.is_metal or link.is_metal or (one.glycan and other.glycan)
+            link.atom.element.is_metal or link.is_metal or (one.glycam_code and other.glycam_code)
             or min(len(link.member.atoms), len(link.other.atoms)) == 1
             or (one is other and names == {"O3'", "P"})
         ):  # fmt: skip
             continue
-        if _is_believed(draft, link):
-            yield link
+        yield link
 
 
-def _is_believed(draft: Draft, link: Link) -> bool:
-    """Whether a bond that the file states has the length of one; if not, it is reported."""
-    is_usual = link.length >= SHORTEST and link.excess <= STATED_SLACK
-    if not is_usual:
-        draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
-    return is_usual
+def _believe(links: Iterable[Link]) -> Generator[Repair, None, list[Link]]:
+    """Return those bonds that the file states and that have the length of one; report the others."""
+    believed = []
+    for link in links:
+        if link.length >= SHORTEST and link.excess <= STATED_SLACK:
+            believed.append(link)
+        else:
+            yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+    return believed
 
 
 def _is_whole(at: Place, member: Member, ends: set[str]) -> bool:
     """Whether a template fits a residue of a chain all the same: its bond goes on where the chain ends."""
     open_ends = {name for name, other in (("N", at.before), ("C", at.after)) if other is None}
-    return not at.part.obstacle and ends <= open_ends and not member.odd
+    return not at.part.obstacle and ends <= open_ends and not member.is_unknown
 
 
 def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.Atom]]:
@@ -174,12 +206,13 @@ def _graph(chemist: Chemist, member: Member) -> Graph | None:
     return graph
 
 
-def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
-    """Bonds between residues of chains, but along it and disulfides; stated ones too long are reported."""
+def _stated_across(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
+    """Bonds that the file states between residues of chains, but those along it and disulfides."""
+    if not draft.stated:
+        return
     chains = [m for m in draft.members if not where[id(m)].part.obstacle]
     there = {m.address(a.name): (m, a) for m in chains for a in m.heavy}
-    along = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
-    done = {*along}
+    done = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
     for first, second in draft.stated:
         pair = frozenset((first, second))
         if pair in done or not pair <= there.keys():
@@ -187,33 +220,37 @@ def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
         done.add(pair)
         link = Link(*there[first], *there[second], stated=True)
         is_disulfide = link.member.name == link.other.name == "CYS" and first[2] == second[2] == "SG"
-        if link.member is link.other or is_disulfide:
-            continue
-        if _is_believed(draft, link):
+        if link.member is not link.other and not is_disulfide:
             yield link
-    nitrogens = [(m, m.atom(_AMINES.get(m.name, ""))) for m in chains]
-    nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
-    amines = [(m, a) for m, a in nitrogens if a]
+
+
+def _amides(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
+    """Bonds between amines and carboxyls of chains that the file does not state: one lacks an oxygen."""
+    chains = [m for m in draft.members if not where[id(m)].part.obstacle]
     open_acids = [m for m in chains if m.name in _ACYLS and not all(map(m.atom, _ACYLS[m.name][1:]))]
     carbons = [(m, m.atom(_ACYLS[m.name][0])) for m in open_acids]
     carbons += [(m, m.atom("C")) for m in chains if where[id(m)].after is None and not m.atom("OXT")]
     acyls = [(m, a) for m, a in carbons if a]
-    tree = KDTree(np.array([a.pos.tolist() for _, a in acyls]).reshape(-1, 3))
-    for m, a in amines:
+    if not acyls:
+        return
+    nitrogens = [(m, m.atom(_AMINES[m.name])) for m in chains if m.name in _AMINES]
+    nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
+    tree = KDTree([a.pos.tolist() for _, a in acyls])
+    for m, a in ((m, a) for m, a in nitrogens if a):
         for k in sorted(tree.query_ball_point(a.pos.tolist(), _AMIDE)):
             other, its = acyls[k]
-            if other is not m and frozenset((m.address(a.name), other.address(its.name))) not in done:
+            if other is not m and not draft.has_bond(m.address(a.name), other.address(its.name)):
                 yield Link(m, a, other, its)
 
 
-def _refuse_or_tie(draft: Draft, links: Sequence[Link], error: Exception) -> None:
+def _refuse_or_tie(draft: Draft, links: Sequence[Link], error: Exception) -> Changes:
     """Report bonds without parameters: springs hold those to molecules beside a chain, others are ignored."""
     beside = {id(m) for part in draft.parts if part.obstacle for m in part.members}
     for link in links:
         if id(link.other) in beside:
-            draft.note(Kind.NO_PARAMETERS, atoms=link.atoms, why=error)
+            yield Repair.of(Kind.NO_PARAMETERS, atoms=link.atoms, why=error)
         elif link.stated:
-            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=error)
+            yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=error)
         else:
             a, b = link.atoms
             raise StructureError(
@@ -241,7 +278,7 @@ def _about_unknown(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) ->
     )
 
 
-def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection[int]) -> None:
+def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection[int]) -> Changes:
     """Give the residues of a fragment their templates, take away what leaves, and report both."""
     called: dict[int, dict[int, str]] = {}
     mine: dict[int, Member] = {}
@@ -262,19 +299,18 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     parts = {id(m): part for part in draft.parts for m in part.members}
     formal, wrong = made.ligand.molecule.formal_charges.tolist(), _inverted(made)
     for m, template in found.values():
-        m.own = template
+        m.source = template
         states = {name: q for (owner, name), q in zip(made.owners, formal, strict=True) if owner is m}
         charge = sum(states.values()) + sum(a.charge for a in metals[id(m)])
         source = chemist.free(m).source
-        draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
-        note_metals(draft, m, metals[id(m)])
+        yield Repair.of(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
+        yield from report_metals(m, metals[id(m)])
         for a in m.atoms if parts[id(m)].obstacle else ():
             a.charge = states.get(a.name, a.charge)
         if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
-            draft.note(Kind.INVERTED, residue=m.residue, atoms=its)
+            yield Repair.of(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
-            parts[id(m)].mobile, parts[id(m)].is_small = True, False
-        m.odd, m.parent = False, ""
+            parts[id(m)].evidence = Evidence.FRAGMENT
         if chemist.name(m) in chemist.chemistry.named:
             # The file written has to give the same chemistry again.
             draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.free(m)))
@@ -283,7 +319,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         gone = [each for each in left if each not in back]
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in gone)
-        draft.note(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
+        yield Repair.of(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
     # A chain goes on through what both of its ends are bonded to, as GFP's through the chromophore.
     ends = {end for link in made.bonds for end in link.atoms}
     draft.repairs = [
@@ -305,9 +341,9 @@ def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
 
 def _back(chemist: Chemist, member: Member, name: str, gone: Collection[tuple[Member, str]]) -> list[str]:
     """Hydrogens that leave an atom and that the charge of an amine brings back."""
-    if member.own is None or (graph := _graph(chemist, member)) is None:
+    if member.template is None or (graph := _graph(chemist, member)) is None:
         return []
-    light, now = graph.light(name), member.own.hydrogens.get(name, ())
+    light, now = graph.light(name), member.template.hydrogens.get(name, ())
     leaving = [x for x in light if (member, x) in gone]
     return leaving[: max(len(now) + len(leaving) - len(light), 0)]
 

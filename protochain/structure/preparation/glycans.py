@@ -18,7 +18,7 @@ from protochain.core.graph import components
 from protochain.structure.molecule.chirality import volume
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Address, Member
-from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.repairs import Kind, Repair, Why
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.sugars import (
     GLYCOSYLATED,
@@ -31,7 +31,7 @@ from protochain.structure.molecule.sugars import (
     sugar_centres,
 )
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
-from protochain.structure.preparation.draft import Draft, Part, losses
+from protochain.structure.preparation.draft import Changes, Draft, Evidence, Part, losses
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, is_usual
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
@@ -47,7 +47,7 @@ _CLEAR = 0.1
 _Owned = tuple[Member, gemmi.Atom]
 
 
-def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> None:
+def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> Changes:
     """Let glycans move whose sugars and links GLYCAM-06j knows; links of others are as if stated."""
     sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
     if not sugars:
@@ -56,7 +56,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
     place = {id(part.members[0]): k for k, part in enumerate(sugars)}
     links = [link for part in sugars if (link := near.link(part.members[0])) is not None]
     for link in links:
-        _without_hydroxyl(draft, link)
+        yield from _without_hydroxyl(link)
     pairs = [(place[id(a)], place[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in place]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
     for g in range(group.max() + 1):
@@ -75,18 +75,18 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
         facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in own if id(link.member) not in place), None)
         if root is not None:
-            draft.note(Kind.GLYCAN, atoms=root.atoms, **facts)
+            yield Repair.of(Kind.GLYCAN, atoms=root.atoms, **facts)
         else:
-            draft.note(Kind.SACCHARIDE, residue=mine[0].members[0].residue, **facts)
+            yield Repair.of(Kind.SACCHARIDE, residue=mine[0].members[0].residue, **facts)
         for part in mine:
             (member,) = part.members
-            part.glycan, part.mobile = codes[id(member)], True
-            member.own = _template(member, part.glycan)
-            letters = letters_of(part.glycan)
+            part.glycam_code, part.evidence = codes[id(member)], Evidence.SUGARS
+            member.source = _template(member, part.glycam_code)
+            letters = letters_of(part.glycam_code)
             if letters != SUGARS[member.name]:
-                draft.note(Kind.OTHER_ANOMER, residue=member.residue)
+                yield Repair.of(Kind.OTHER_ANOMER, residue=member.residue)
             if wrong := (*_inverted(member, letters, own),):
-                draft.note(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
+                yield Repair.of(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
 
 
 def _code(member: Member, links: Sequence[Link]) -> str:
@@ -106,14 +106,14 @@ def _hydroxyl(member: Member) -> gemmi.Atom | None:
     return member.atom("O" + anomeric_carbon(member.name)[1:])
 
 
-def _without_hydroxyl(draft: Draft, link: Link) -> None:
+def _without_hydroxyl(link: Link) -> Changes:
     """Take away the oxygen at an anomeric carbon that another bond takes the place of."""
     sugar, oxygen = link.other, _hydroxyl(link.other)
     if oxygen is not None:
         lost = losses(sugar, [oxygen], Why.BONDED)
         sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
         gone = (f"{oxygen.name} of {sugar.name}",)
-        draft.note(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
+        yield Repair.of(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
 
 
 def _inverted(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:

@@ -2,8 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Generator, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import gemmi
@@ -14,16 +14,15 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
-from protochain.core.markup import counted
+from protochain.core.markup import counted, listed
 from protochain.structure.formats.ions import charge_cluster, is_known
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
-from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.member import Member, Unknown
 from protochain.structure.molecule.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
-from protochain.structure.preparation.bound import AS_KNOWN, Chemistry
-from protochain.structure.preparation.draft import Draft, Part, losses
+from protochain.structure.preparation.draft import Candidate, Changes, Draft, Evidence, Omission, Part, losses
 from protochain.structure.preparation.linkage import STATED
 from protochain.structure.preparation.recognise import by_element, recognised
 
@@ -49,24 +48,6 @@ _DUMMY = ("DUM", "MMB")
 """Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
 
 
-@dataclass(eq=False)
-class Candidate:
-    """A residue that is no part of the protein."""
-
-    member: Member
-    given: str  # Its name in the file.
-    notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
-
-    @property
-    def kind(self) -> str:
-        """Kind, as a word of ``KINDS``."""
-        if self.member.name == "HOH":
-            return "water"
-        if len(self.member.atoms) == 1:
-            return "ions"
-        return "nucleic" if self.member.name in residues.NUCLEOTIDES else "ligands"
-
-
 def check_words(words: Iterable[str]) -> None:
     """Refuse a word that is neither a kind of molecule nor can be the name of a residue."""
     for word in words:
@@ -76,18 +57,13 @@ def check_words(words: Iterable[str]) -> None:
             )
 
 
-def choose(
-    draft: Draft,
-    candidates: Sequence[Candidate],
-    keep: Sequence[str],
-    known: Mapping[str, Template],
-    chemistry: Chemistry = AS_KNOWN,
-) -> list[Part]:
-    """Choose the molecules to keep; count and report the others."""
+def choose_kept(draft: Draft) -> Changes:
+    """Choose the molecules to keep beside the protein; count and report the others."""
+    keep, chemistry, candidates = draft.reading.keep, draft.reading.chemistry, draft.beside
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     # The chemistry of an amino acid in a chain may be given, too.
-    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    of_chains = {member.given or member.name for member in draft.members if member.is_unknown}
     _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     strands = {
@@ -117,35 +93,57 @@ def choose(
             lost += losses(candidate.member, candidate.member.atoms, why)
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
-        draft.left_out[kind] += count
-    _note_coincident(draft, [each.member for each in chosen])
-    note_unresolved(draft, [each.member for each in chosen])
-    parts = _parts(draft, chosen, known, chemistry)
+        yield Omission(kind, count)
+    yield from _report_coincident([each.member for each in chosen])
+    yield from report_unresolved([each.member for each in chosen])
+    draft.parts += yield from _classify(draft, chosen)
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
         facts = {"counts": counts, "count": counts[0].n, "remedy": EVERYTHING}
         dry = any(count.kind != "waters" for count in counts)
         left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
-        draft.repairs.insert(0, Repair(left, facts, tuple(lost)))
-    return parts
+        yield Repair(left, facts, tuple(lost))
 
 
-def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
+def require_chain(draft: Draft) -> tuple[()]:
+    """Refuse a file without protein and nucleic acids."""
+    # A trace of single atoms is no strand.
+    if not any(not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1) for p in draft.parts):
+        raise StructureError(f"{draft.source}: ", *_about_rest(draft.beside))
+    return ()
+
+
+def _about_rest(beside: Iterable[Candidate]) -> tuple[object, ...]:
+    """What there is where there is no chain to work with, and what to do."""
+    kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
+    each = [
+        counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
+        for kind, n in kinds.items()
+    ]
+    found = listed(each, 8)
+    what = f"no protein found{found and f', only {found}'}; "
+    if any(each.kind == "nucleic" for each in beside):
+        return what, "keep them by ", EVERYTHING
+    single = any(each.given in residues.STANDARD for each in beside)
+    return what, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
+
+
+def report_unresolved(members: Sequence[Member]) -> Changes:
     """Report heavy atoms that the experiment did not resolve."""
     unseen = [sum(a.occ == 0.0 for a in member.heavy) for member in members]
     places = tuple(member.residue for member, n in zip(members, unseen, strict=True) if n)
     if places:
-        draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
+        yield Repair.of(Kind.UNRESOLVED, count=sum(unseen), residues=places)
 
 
-def _note_coincident(draft: Draft, members: Sequence[Member]) -> None:
+def _report_coincident(members: Sequence[Member]) -> Changes:
     """Report molecules that lie upon one another and are no alternates by their occupancies."""
     ends = [(m, a) for m in members for a in m.heavy]
     near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
     pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
     for (first, second), number in pairs.items():
         if first != second and number > 1:
-            draft.note(Kind.COINCIDENT, residue=second, other=first)
+            yield Repair.of(Kind.COINCIDENT, residue=second, other=first)
 
 
 def _refuse_unknown_names(
@@ -248,33 +246,37 @@ def _paired(
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def _parts(
-    draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template], chemistry: Chemistry
-) -> list[Part]:
+def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | Omission, None, list[Part]]:
     """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
+    known, chemistry = draft.templates, draft.reading.chemistry
     parts: list[Part] = []
     for candidate in chosen:
         member = candidate.member
-        draft.repairs += candidate.notes
+        yield from candidate.notes
         if parts and _is_bonded(parts[-1].members[-1], member):
             parts[-1].members.append(member)
         else:
-            parts.append(Part(member.chain_id, [member], obstacle=True))
-    glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
-    for part in (each for each in parts if not each.glycan):
-        _trim(draft, part)
-    parts = [piece for part in parts for piece in _pieces(draft, part, known, chemistry.has_sage)]
+            parts.append(Part(member.chain_id, [member], Evidence.ELEMENTS))
+    if parts:
+        yield from glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
+    for part in (each for each in parts if not each.glycam_code):
+        yield from _trim(part)
+    pieces = list[Part]()
     for part in parts:
+        pieces += yield from _pieces(part, known, chemistry.has_sage)
+    for part in pieces:
         first, whole = part.members[0], [*part.members[0].atoms]
-        if first.own is not None:
+        if first.template is not None:
             continue
         if len(part.members) == 1 and part.is_strand and not first.links:
             first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
         found = [part.template(known, i) for i in range(len(part.members))]
-        fits = all(m.odd or _fits(m, its) for m, its in zip(part.members, found, strict=True))
-        is_users = len(found) == 1 and found[0] is not None and found[0].is_users
-        part.mobile = fits and (is_users or part.is_strand)
-        if not fits:
+        fits = all(m.is_unknown or _fits(m, its) for m, its in zip(part.members, found, strict=True))
+        if fits:
+            is_users = len(found) == 1 and found[0] is not None and found[0].is_users
+            strand = Evidence.NUCLEOTIDES if part.is_strand else Evidence.BUNDLED_TEMPLATE
+            part.evidence = Evidence.USERS_TEMPLATE if is_users else strand
+        else:
             first.atoms = whole
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
@@ -283,21 +285,22 @@ def _parts(
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
                 charge_cluster(member.name, member.atoms)
-                member.own = by_element(member)
+                member.source = member.source if member.is_unknown else by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
-                known_as = recognised(first, first.own, users) if first.own else None
-                first.own, part.mobile = known_as or first.own, known_as is not None
-                is_known = part.mobile or first.name in residues.NUCLEOTIDES
                 is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
-                part.is_small = not (is_ion or is_known)
-        elif len(whole) > len(first.atoms):
+                seen = first.template
+                if template := seen and recognised(first, seen, users):
+                    first.source, part.evidence = template, Evidence.USERS_TEMPLATE
+                elif not (is_ion or first.name in residues.NUCLEOTIDES):
+                    part.evidence = Evidence.SMALL
+        if fits and len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
-            draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
-    return parts
+            yield Repair.of(Kind.PHOSPHATE, lost, residue=first.residue)
+    return pieces
 
 
-def _trim(draft: Draft, part: Part) -> None:
+def _trim(part: Part) -> Changes:
     """Leave out the end of a strand of which only the phosphate was seen."""
     while (
         len(part.members) > 1
@@ -306,20 +309,21 @@ def _trim(draft: Draft, part: Part) -> None:
     ):
         last = part.members.pop()
         lost = losses(last, last.atoms, Why.BACKBONE)
-        draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
+        yield Repair.of(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 
-def _pieces(draft: Draft, part: Part, known: Mapping[str, Template], has_sage: bool) -> list[Part]:
+def _pieces(part: Part, known: Mapping[str, Template], has_sage: bool) -> Generator[Repair, None, list[Part]]:
     """Cut a strand at the nucleotides without parameters; modified ones are to get their own."""
     if len(part.members) == 1:
         return [part]
     strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
     for member in strange:
-        member.odd = has_sage and member.name not in residues.NUCLEOTIDES
-    return cut(draft, part, [member for member in strange if not member.odd])
+        if has_sage and member.name not in residues.NUCLEOTIDES:
+            member.source = Unknown()
+    return (yield from cut(part, [member for member in strange if not member.is_unknown]))
 
 
-def cut(draft: Draft, part: Part, strange: Sequence[Member]) -> list[Part]:
+def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
     """Cut a strand at nucleotides without parameters, which stay in place, and report it."""
     if not strange:
         return [part]
@@ -327,15 +331,17 @@ def cut(draft: Draft, part: Part, strange: Sequence[Member]) -> list[Part]:
     for i, member in enumerate(part.members):
         moves, before = member not in strange, part.members[i - 1]
         if not i or moves == (before in strange):
-            pieces.append(Part(part.chain_id, [], obstacle=True, mobile=moves))
+            pieces.append(Part(part.chain_id, [], Evidence.NUCLEOTIDES if moves else Evidence.ELEMENTS))
             if i:
                 # Beside it, the strand goes on.
                 one, name = (member, "P") if moves else (before, "O3'")
                 one.links += [atom for atom in one.atoms if atom.name == name]
         pieces[-1].members.append(member)
     for member in strange:
-        member.own, member.odd = by_element(member), False
-    draft.note(Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange))
+        member.source = by_element(member)
+    yield Repair.of(
+        Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
+    )
     return pieces
 
 
@@ -356,15 +362,14 @@ def _fits(member: Member, template: Template | None) -> bool:
     return heavy | {"OP3"} == {*template.heavy, "OP3"}
 
 
-def report(draft: Draft) -> None:
-    """Say what is kept, before all other repairs but what is left out."""
+def report_kept(draft: Draft) -> Changes:
+    """Report the molecules that are kept."""
     its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
     if its:
         counts = Counter("waters" if m.name == "HOH" else m.given or m.name for _, m in its).most_common()
-        bare = {m.given or m.name for part, m in its if m.own and not part.mobile}
+        bare = {m.given or m.name for part, m in its if m.template and not part.mobile}
         facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
-        first = bool(draft.repairs) and draft.repairs[0].kind in (Kind.LEFT_OUT, Kind.WATERS_LEFT_OUT)
-        draft.repairs.insert(first, Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts))
+        yield Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts)
 
 
 def water_named(member: Member, given: str) -> Member:

@@ -140,11 +140,11 @@ class _Neighbourhood:
         return (
             abs(pair.excess) <= COVALENT_SLACK
             # A nucleotide has all its atoms.
-            and pair.other.own is not None
+            and pair.other.template is not None
             and self._is_known(pair, its)
             and sum(a.is_hydrogen() for a in mine) <= _HYDROGENS_LEFT.get(pair.atom.name, 0)
             and (pair.atom.name != "SG" or len(mine) == 1)
-            and len(pair.other.own.neighbours(pair.other_atom.name) - {a.name for a in its}) == 0
+            and len(pair.other.template.neighbours(pair.other_atom.name) - {a.name for a in its}) == 0
             and _lacks_neighbour(pair.other_atom, its)
             and is_usual(mine, pair.atom, pair.other_atom)
             and is_usual(its, pair.other_atom, pair.atom)
@@ -170,7 +170,7 @@ class _Neighbourhood:
     def _its(self, member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
         """Neighbours of an atom outside the protein, in its molecule and in those bonded to it."""
         assert self.tree is not None
-        names = member.own.neighbours(atom.name) if member.own else None
+        names = member.template.neighbours(atom.name) if member.template else None
         near = (self.beside[k] for k in self.tree.query_ball_point(atom.pos.tolist(), _REACH))
         return [
             a

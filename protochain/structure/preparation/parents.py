@@ -1,15 +1,13 @@
 """Modified residues as their standard parents."""
 
-from collections.abc import Mapping
-
 import gemmi
 
 from protochain.structure.molecule.chirality import WELL_FORMED, handedness
 from protochain.structure.molecule.member import Member
-from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.repairs import Kind, Repair, Why
 from protochain.structure.molecule.residues import name_in_file
-from protochain.structure.molecule.templates import Template, archive_parent, other_names
-from protochain.structure.preparation.draft import Draft, losses
+from protochain.structure.molecule.templates import archive_parent, other_names
+from protochain.structure.preparation.draft import Changes, Draft, losses
 
 
 def fullest(name: str) -> str:
@@ -17,10 +15,10 @@ def fullest(name: str) -> str:
     return "HIP" if name == "HIS" else name
 
 
-def to_parent(draft: Draft, known: Mapping[str, Template], member: Member, why: Why) -> None:
+def convert_to_parent(draft: Draft, member: Member, why: Why) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
     residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
-    usual = known[fullest(parent)]
+    usual = draft.templates[fullest(parent)]
     expected = {*usual.element, *other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
     for name in set(usual.heavy) - {atom.name for atom in member.atoms}:
         # Selenium, or a sulphur of another name, becomes the parent's sulphur.
@@ -31,21 +29,21 @@ def to_parent(draft: Draft, known: Mapping[str, Template], member: Member, why: 
     member.atoms = [
         atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
     ]
-    member.name, member.parent, member.state, member.odd = parent, "", "", False
+    member.name, member.state, member.source = parent, "", None
     gone = tuple(a.name for a in strange)
     lost = losses(member, strange, why)
     if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
         # The table does not say of which configuration it is.
         member.is_d = handedness(member, least=WELL_FORMED) < 0
     if given == "MSE":
-        draft.note(Kind.SELENOMETHIONINE, lost, residue=residue)
+        yield Repair.of(Kind.SELENOMETHIONINE, lost, residue=residue)
     elif given != name_in_file(parent, member.is_d):
         cut, whole = _TO_D if member.is_d else _TO_PARENT
         name = name_in_file(parent, member.is_d)
-        draft.note(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
+        yield Repair.of(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
     elif gone or handedness(member) < 1:  # One of the other configuration is told with all that are.
         kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
-        draft.note(kind, lost, residue=residue, atoms=gone)
+        yield Repair.of(kind, lost, residue=residue, atoms=gone)
 
 
 _TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D

@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, grouped
-from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import Residue
-from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.draft import Changes, Draft
 
 _THINNEST = 3.0
 """Angstrom. No molecule has a cell as thin as this; files without a box state 1 angstrom or 0."""
@@ -169,9 +169,9 @@ def _rank(turns: Floats | None) -> int:
     return 2 if turns is None else int(turns.any())
 
 
-def make_whole(draft: Draft, structure: gemmi.Structure, model: gemmi.Model) -> None:
+def make_whole(draft: Draft) -> Changes:
     """Make the molecules of a model whole by the cell of its file, and report those that moved."""
-    cell = structure.cell
+    structure, model, cell = draft.file, draft.model, draft.file.cell
     if min(cell.a, cell.b, cell.c) < _THINNEST or not cell.is_crystal():
         return
     molecules = _Molecules(model, cell)
@@ -186,10 +186,10 @@ def make_whole(draft: Draft, structure: gemmi.Structure, model: gemmi.Model) -> 
         molecules.atoms[k].pos = gemmi.Position(*molecules.now(np.array([k]))[0].tolist())
     box = " x ".join(f"{length:g}" for length in (cell.a, cell.b, cell.c))
     if broken:
-        draft.note(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_place(molecules, broken[0]))
+        yield Repair.of(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_place(molecules, broken[0]))
     if moved:
         places = tuple(_place(molecules, piece) for piece in dict.fromkeys(moved))
-        draft.note(Kind.IMAGE_MOVED, box=box, count=len(places), residues=places)
+        yield Repair.of(Kind.IMAGE_MOVED, box=box, count=len(places), residues=places)
 
 
 def _place(molecules: _Molecules, k: int) -> Residue:

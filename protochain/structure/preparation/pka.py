@@ -11,7 +11,6 @@ from string import ascii_letters, digits
 
 import gemmi
 
-from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.core.extras import library
 from protochain.structure.molecule.member import Member
@@ -21,11 +20,6 @@ _PER_CHAIN = 9000
 """Residues that a chain of a PDB file may number, and the names of its chains."""
 _CHAINS = ascii_letters + digits
 _MEANT = {"ASP", "GLU", "HIS", "CYS", "LYS"}
-
-
-def value_of(ph: float | str) -> float:
-    """Return the number of a pH, which of ``auto`` is 7."""
-    return defaults.PH if isinstance(ph, str) else ph
 
 
 def by_propka(draft: Draft) -> Mapping[int, float]:

@@ -1,12 +1,13 @@
-"""Preparation of a structure: heavy atoms completed, bonds between residues found, hydrogens placed.
+"""Preparation of a structure: :data:`PASSES` is its table of contents.
 
 Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit
 for bit.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import gemmi
 import numpy as np
@@ -14,36 +15,69 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import AUTO, acidity_or_auto, checked, file_name, force_field_parts, words
+from protochain.core.checks import acidity_or_auto, checked, file_name, force_field_parts, words
 from protochain.core.checks import bonds as bonds_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.formats.files import place_in_file
+from protochain.structure.formats.files import STANDARD_INPUT, parse, places_in_file, split_name
+from protochain.structure.formats.tie_records import CATEGORY, springs
 from protochain.structure.molecule.hydrogens import place_hydrogens
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.model import BoundLigand, Origin, Structure
-from protochain.structure.molecule.templates import Template, templates
-from protochain.structure.preparation.bound import Chemistry, put_hydrogens, take_up
-from protochain.structure.preparation.bridges import Bridge, disulfides
-from protochain.structure.preparation.complete import add_heavy_atoms
-from protochain.structure.preparation.draft import Draft, Part
-from protochain.structure.preparation.pka import by_propka, value_of
-from protochain.structure.preparation.protonate import protonate
-from protochain.structure.preparation.read import Reading, read
-from protochain.structure.preparation.sites import (
-    glycosidic,
-    metal_links,
-    moves,
-    note_sites,
-    note_unused,
-    settle_mobile,
-    stated_beside,
-    stated_ties,
-    strand_links,
-    ties,
+from protochain.structure.molecule.repairs import Kind, Repair
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation import (
+    bound,
+    choose,
+    complete,
+    fragments,
+    kept,
+    periodic,
+    protonate,
+    pseudo_atoms,
+    sites,
 )
+from protochain.structure.preparation import read as chain_passes
+from protochain.structure.preparation.draft import Chemistry, Draft, Omission, Part, Reading
+
+Pass = Callable[[Draft], Iterable[Repair | Omission]]
+"""A step of a preparation, which changes a draft and yields what it changed."""
+
+READING: tuple[Pass, ...] = (
+    choose.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
+    choose.choose_model,
+    pseudo_atoms.remove_pseudo_atoms,
+    periodic.make_whole,  # Molecules that a periodic box cuts.
+    choose.correct_atoms,  # Occupancies, deuterium, elements.
+    chain_passes.read_bonds,  # Bonds that the file states.
+    choose.choose_chains,
+    choose.choose_altlocs,
+    chain_passes.split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
+    chain_passes.join_chains,  # Pieces whose ends are bonded.
+    chain_passes.add_poses,  # Molecules that the user gives.
+    kept.choose_kept,  # Molecules kept beside the protein, and what each is.
+    kept.require_chain,
+    sites.find_links,  # Bonds between the protein and these.
+    fragments.assign_chemistry,  # Residues that no template fits.
+    sites.report_links,
+    bound.parametrise_ligands,  # Small molecules.
+    kept.report_kept,
+    chain_passes.order_parts,
+)
+"""Passes from a file to molecules of known chemistry."""
+COMPLETING: tuple[Pass, ...] = (
+    sites.list_bonds,  # Bonds otherwise than along a chain; molecules that move.
+    bound.take_ligands,  # Templates of ligands that move.
+    complete.add_heavy_atoms,
+    sites.bond_disulfides,
+    protonate.protonate,
+    bound.put_hydrogens,  # Of ligands, as their molecules have them.
+)
+"""Passes from molecules to all of their atoms."""
+PASSES = READING + COMPLETING
+"""The table of contents of a preparation."""
 
 
 @checked()
@@ -132,21 +166,34 @@ def load(
     >>> s.n_residues, s.n_atoms
     (20, 304)
     """
-    acidity_or_auto(ph, "ph")
-    residues = user_files(forcefield)
-    chemistry = Chemistry.asked(ligands, ligand_charges, value_of(ph), parts_of(forcefield))
-    reading = Reading(
-        model,
-        altloc,
-        words(keep),
-        strict,
-        residues,
-        words(chains, "chains"),
-        chemistry,
-        standard_residues,
-        assembly,
+    options = {name: value for name, value in locals().items() if name != "path"}
+    return prepare(read(as_path(path, "path"), reading_of(**options)))
+
+
+def reading_of(
+    *,
+    keep: str | Sequence[str] = defaults.KEEP,
+    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
+    ph: float | str = defaults.PH,
+    forcefield: str | Path | None = None,
+    chains: str | Sequence[str] = (),
+    ligands: Any = (),
+    ligand_charges: str | Path = defaults.LIGAND_CHARGES,
+    **others: Any,
+) -> Reading:
+    """Check the options of :func:`load`."""
+    ph = acidity_or_auto(ph, "ph")
+    return Reading(
+        keep=words(keep),
+        disulfide=bonds_of(disulfide, "disulfide"),
+        ph=ph,
+        forcefield=user_files(forcefield),
+        chains=words(chains, "chains"),
+        chemistry=Chemistry.asked(
+            ligands, ligand_charges, defaults.PH if isinstance(ph, str) else ph, parts_of(forcefield)
+        ),
+        **others,
     )
-    return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 
 def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
@@ -159,63 +206,75 @@ def parts_of(forcefield: str | Path | None) -> tuple[str, ...]:
     return () if forcefield is None else tuple(force_field_parts(file_name(forcefield, "forcefield")))
 
 
-def prepare(
-    draft: Draft,
-    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
-    ph: float | str = defaults.PH,
-    forcefield: Sequence[Path] = (),
-) -> Structure:
-    """Complete a draft: heavy atoms, disulfides, hydrogens."""
-    wanted = bonds_of(disulfide, "disulfide")
-    known = templates(forcefield)
-    beside, sugars = stated_beside(draft), glycosidic(draft)
-    settle_mobile(draft, draft.links)
-    links = [*draft.links, *strand_links(draft)]
-    beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
-    metal = metal_links(draft)
-    note_sites(draft, metal)
-    note_unused(draft, [*links, *beyond, *beside, *metal])
-    take_up(draft, value_of(ph))
-    given = {
-        id(atom): atom
-        for member in draft.members
-        for atom in member.atoms
-        if not draft.filed or place_in_file(atom) >= 0
-    }
-    add_heavy_atoms(draft, known)
-    bridges = disulfides(draft, wanted)
-    pka = by_propka(draft) if ph == AUTO else {}
-    done = protonate(draft, known, {id(m) for pair in bridges for m in pair}, value_of(ph), pka)
-    put_hydrogens(draft)
-    atoms = [atom for member, _ in done for atom in member.atoms]
-    elements = [atom.element.name for atom in atoms]
-    for member, _ in done:
+def read(path: str | Path, reading: Reading | None = None) -> Draft:
+    """Read the molecules of one model of a PDB or mmCIF file."""
+    path = Path(path)
+    structure, overlooked, is_ended, records = parse(path)
+    name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
+    source = "standard input" if path == STANDARD_INPUT else str(path)
+    draft = Draft(name, source, reading=reading or Reading(), file=structure, is_ended=is_ended)
+    draft.repairs, draft.header = overlooked, records
+    draft.springs = springs(records) if CATEGORY in records else {}
+    return run(draft, READING)
+
+
+def run(draft: Draft, passes: Sequence[Pass]) -> Draft:
+    """Run passes over a draft, and collect what they change."""
+    for step in passes:
+        for change in step(draft):
+            if isinstance(change, Omission):
+                draft.left_out[change.kind] += change.number
+                continue
+            draft.repairs.append(change)
+            for loss in change.lost:
+                if not loss.why.is_of_whole:
+                    draft.left_out[f"atoms of {loss.name}"] += len(loss.atoms)
+    # What a structure is made of comes before its changes.
+    draft.repairs.sort(key=lambda repair: _FIRST.get(repair.kind, len(_FIRST)))
+    return draft
+
+
+_FIRST = {Kind.LEFT_OUT: 0, Kind.WATERS_LEFT_OUT: 0, Kind.KEPT: 1, Kind.KEPT_BY_ELEMENT: 1}
+
+
+def prepare(draft: Draft) -> Structure:
+    """Complete a draft that was read: heavy atoms, disulfides, hydrogens."""
+    if not draft.filed:
+        for k, atom in enumerate((atom for member in draft.members for atom in member.atoms), 1):
+            atom.fraction = k
+    run(draft, COMPLETING)
+    for member in draft.members:
         if twice := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
             raise StructureError(
                 f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
             )
-    at = _indices(done)
-    bonds = _bonds(draft, done, bridges, [*links, *beyond, *metal], at)
-    charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])
+    atoms = [atom for member in draft.members for atom in member.atoms]
+    elements = [atom.element.name for atom in atoms]
+    at = _indices(draft.states)
+    outer = [*draft.links, *draft.other_links, *draft.metal_links]
+    bonds = _bonds(draft, draft.states, draft.bridges, outer, at)
+    charge = np.array([t.charge.get(atom.name, 0.0) for m, t in draft.states for atom in m.atoms])
     x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
-    place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
+    place = np.where(np.isnan(x[:, 0]), -1, places_in_file(atoms))
     x = place_hydrogens(x, elements, charge, bonds)
-    owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
+    owners = [(member, atom.name) for member in draft.members for atom in member.atoms]
     _refuse_coincident(draft, owners, x, bonds)
-    springs, outer = [*links, *metal], [link for link in metal if link.member is not link.other]
-    of_residues = [part for part in draft.parts for _ in part.members]
     fixed, mobile = np.repeat(
         [
-            (part.obstacle and not part.mobile and not moves(draft, member, links), part.mobile)
+            (part.obstacle and not part.mobile and not sites.moves(draft, member, draft.links), part.mobile)
             for part in draft.parts
             for member in part.members
         ],
-        [len(member.atoms) for member, _ in done],
+        [len(member.atoms) for member in draft.members],
         axis=0,
     ).T
+    between = [link for link in draft.metal_links if link.member is not link.other]
+    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_beside(draft), *between])
+    held = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
+    of_residues = [part for part in draft.parts for _ in part.members]
     return Structure(
         name=draft.name,
-        topology=_topology(draft.parts, done, bonds),
+        topology=_topology(draft.parts, draft.states, bonds),
         positions=x,
         repairs=tuple(draft.repairs),
         left_out=draft.left_out,
@@ -225,13 +284,11 @@ def prepare(
         residue_label=tuple(member.label for member in draft.members),
         header=draft.header,
         model_number=draft.model_number,
-        ties=stated_ties(draft, springs, at) or ties(springs, at, x, elements, bonds),
+        ties=held,
         mobile=mobile,
-        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside, *outer]), at), np.int64).reshape(
-            -1, 2
-        ),
+        links=np.array(_linked(links, at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
-        built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
+        built=np.array([k < 0 and element != "H" for k, element in zip(place, elements, strict=True)]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
         # Atoms of caps are atoms of neighbours.
         fragments=tuple(
@@ -242,8 +299,8 @@ def prepare(
             )
             for made in draft.fragments
         ),
-        glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
-        origin=Origin(draft.filed, place, charge) if (place >= 0).any() else None,
+        glycans={r: part.glycam_code for r, part in enumerate(of_residues) if part.glycam_code},
+        origin=Origin(draft.filed, place, charge) if draft.filed and (place >= 0).any() else None,
     )
 
 
@@ -289,7 +346,7 @@ def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
 def _bonds(
     draft: Draft,
     done: list[tuple[Member, Template]],
-    bridges: list[Bridge],
+    bridges: list[tuple[Member, Member]],
     links: list[Link],
     at: dict[int, dict[str, int]],
 ) -> Integers:
@@ -313,14 +370,14 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
     atoms = []
     templates_of = {id(member): template for member, template in done}
     for part in parts:
-        chain = None
+        chain, is_beside = None, part.obstacle
         for member in part.members:
             if chain is None or chain.id != member.chain_id:
                 chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = _formal_charge(atom, member, templates_of[id(member)], part.obstacle)
+                charge = _formal_charge(atom, member, templates_of[id(member)], is_beside)
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])

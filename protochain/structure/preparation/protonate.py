@@ -1,16 +1,18 @@
 """Protonation states, and the hydrogens of each residue."""
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 
 import gemmi
 import numpy as np
 
+from protochain.core.checks import AUTO
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.draft import Changes, Draft, Part
 from protochain.structure.preparation.flips import settled
+from protochain.structure.preparation.pka import by_propka
 
 BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
@@ -23,74 +25,69 @@ _USUAL: Mapping[int, float] = {}
 _UNPLACED = [float("nan")] * 3
 
 
-def protonate(
-    draft: Draft,
-    known: Mapping[str, Template],
-    bridged: set[int],
-    ph: float,
-    pka: Mapping[int, float] = _USUAL,
-) -> list[tuple[Member, Template]]:
+def protonate(draft: Draft) -> Changes:
     """Choose protonation states, as shown by names or hydrogens else by pH; hydrogens added stay NaN."""
+    known, ph = draft.templates, draft.reading.chemistry.ph
+    bridged = {id(member) for pair in draft.bridges for member in pair}
+    pka = by_propka(draft) if draft.reading.ph == AUTO else _USUAL
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = settled(
         (
             member,
             None
-            if member.name == "HIS" and not states[id(member)] and member.own is None
+            if member.name == "HIS" and not states[id(member)] and member.template is None
             else part.template(known, i, states[id(member)]) or part.template(known, i),
         )
         for part in draft.parts
         for i, member in enumerate(part.members)
     )
     states |= chosen
-    done = []
     added = present = renamed = 0
     for part in draft.parts:
         for i, member in enumerate(part.members):
             before = sum(a.is_hydrogen() for a in member.atoms)
             if id(member) in turned:
                 kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
-                draft.note(kind, residue=member.residue)
+                yield Repair.of(kind, residue=member.residue)
             state = states[id(member)]
             own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
-            template = _template(draft, known, part, i, shown[id(member)], state, own)
-            renamed += _match(draft, member, template)
+            template = yield from _template(known, part, i, shown[id(member)], state, own)
+            renamed += yield from _match(member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
             added += sum(a.is_hydrogen() for a in member.atoms) - now
-            done.append((member, template))
+            draft.states.append((member, template))
     if renamed:
-        draft.note(Kind.HYDROGENS_RENAMED, count=renamed)
+        yield Repair.of(Kind.HYDROGENS_RENAMED, count=renamed)
     if added:
-        draft.note(Kind.HYDROGENS_ADDED, count=added, ph=ph, present=present)
-    return done
+        yield Repair.of(Kind.HYDROGENS_ADDED, count=added, ph=ph, present=present)
 
 
 def _template(
-    draft: Draft, known: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
-) -> Template:
+    known: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
+) -> Generator[Repair, None, Template]:
     """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]
-    if member.own is not None:
-        return member.own
+    if member.template is not None:
+        return member.template
     template = part.template(known, i, state)
     usual = part.template(known, i)
     assert usual is not None
     if member.given.endswith(_BRIDGED) and not shown:
-        draft.note(Kind.NO_PARTNER, residue=member.residue, name=member.given)
+        yield Repair.of(Kind.NO_PARTNER, residue=member.residue, name=member.given)
     if template is None:
-        draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)
+        yield Repair.of(Kind.USUAL_STATE, residue=member.residue, state=state)
     elif state and not shown and pka is not None:
-        draft.note(Kind.STATE_BY_PKA, residue=member.residue, state=state, pka=pka)
+        yield Repair.of(Kind.STATE_BY_PKA, residue=member.residue, state=state, pka=pka)
     elif state and not shown:
-        draft.note(Kind.STATE_CHOSEN, residue=member.residue, state=state)
+        yield Repair.of(Kind.STATE_CHOSEN, residue=member.residue, state=state)
     template = template or usual
     if shown and member.name in residues.PHOSPHORYLATED:
         template = template.exchanged("O1P", _acid_oxygens(member)[0])
     if _is_imidazolate(member):
         template = template.without_hydrogen("NE2")
-        draft.note(Kind.IMIDAZOLATE, residue=member.residue)
+        yield Repair.of(Kind.IMIDAZOLATE, residue=member.residue)
     for linked in member.links:
         if linked.name != "N":
             template = template.without_hydrogen(linked.name)
@@ -151,7 +148,7 @@ def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
     return base[1] if base and ph > pka.get(id(member), base[0]) else ""
 
 
-def _match(draft: Draft, member: Member, template: Template) -> int:
+def _match(member: Member, template: Template) -> Generator[Repair, None, int]:
     """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
@@ -183,5 +180,5 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
         member.atoms.append(parent)
         member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
-        draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
+        yield Repair.of(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)

@@ -9,10 +9,10 @@ from collections.abc import Collection
 
 import gemmi
 
-from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, Residue
 from protochain.structure.molecule.templates import Template, standard_name, template_name, templates
-from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.draft import Changes, Draft
 
 _OF_ELEMENTS = "CHNOSPD"
 """Letters with which the names of atoms of amino acids and nucleotides begin, digits aside."""
@@ -22,10 +22,10 @@ _SITE = re.compile(r"[MELVX]|DO|OM")
 """How the names of the further sites of a water begin."""
 
 
-def remove_pseudo_atoms(draft: Draft, model: gemmi.Model) -> None:
+def remove_pseudo_atoms(draft: Draft) -> Changes:
     """Remove pseudo-atoms from amino acids, nucleotides and waters of a model, and report them."""
     known, sites, waters = templates(), 0, 0
-    for chain in model:
+    for chain in draft.model:
         for residue in chain:
             name = standard_name(residue.name.strip().upper())[0]
             is_known = name in STANDARD or name in CAPS or name in NUCLEOTIDES
@@ -40,9 +40,9 @@ def remove_pseudo_atoms(draft: Draft, model: gemmi.Model) -> None:
                 sites, waters = sites + len(places), waters + 1
             elif places:
                 place = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
-                draft.note(Kind.VIRTUAL, residue=place, atoms=names)
+                yield Repair.of(Kind.VIRTUAL, residue=place, atoms=names)
     if sites:
-        draft.note(Kind.SITES, count=sites, waters=waters)
+        yield Repair.of(Kind.SITES, count=sites, waters=waters)
 
 
 def _name_water(residue: gemmi.Residue) -> None:

@@ -8,7 +8,7 @@ from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.model import Structure
-from protochain.structure.preparation.conformation import likeliest, same_place
+from protochain.structure.preparation.choose import likeliest, same_place
 from protochain.structure.preparation.read import standard_parent
 
 
