@@ -20,8 +20,8 @@ _HYDROGEN_BOND = 3.5
 """Angstrom, donor to acceptor, as in OpenMM's Modeller."""
 _FULL, _FARTHEST = 3.2, 3.7
 """Angstrom: up to the first a hydrogen bond of an amide counts fully, from the second on not at all."""
-_REACH = 6.0
-"""Angstrom: nitrogens are 2.2 from CG, and their hydrogen bonds 3.7 long at most."""
+_REACH, _PAIR = 6.0, 8.5
+"""Angstrom: ends are 2.4 from the pivot at most, and hydrogen bonds 3.7 long. From a pivot, and of two."""
 _BONDED = 1.9
 """Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
 _UPON = 1e-9
@@ -46,13 +46,11 @@ TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
 """The nitrogen that has the hydrogen; of equal ones the first is taken."""
 _TURNABLE = 0.75
 """What the bond of a hydroxyl or water to a nitrogen counts, which may turn elsewhere."""
-_WRONG, _PRIOR, _SCALE = 0.0018, 4.0, 0.4
-"""Usual share of sites that a file has the wrong way round, how many sites it counts as, and hydrogen bonds
-for each factor e in the odds. To be turned, a site must gain 2.5, and less if others are wrong, too."""
-_SPARED = 2
-"""Likeliest mistakes that say nothing of the other sites."""
-_ROUNDS = 12
-"""Estimates of that share, by expectation and maximisation."""
+_FIRST, _STRICT, _LEAST, _PRIOR = 0.5, 2.5, 0.25, 2
+"""What a turn must gain, in hydrogen bonds: at first, then if no site or if half of them were turned.
+
+The last is a number of sites that count as right beside those of the file.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str
         reached = tree.query_ball_point(pivot, _REACH) if tree else []
         beside = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
         own.append(np.array([state.energy(beside) for state in choices]))
-    near = sorted(KDTree(pivots).query_pairs(2.0 * _REACH))
+    near = sorted(KDTree(pivots).query_pairs(_PAIR))
     tables = {(i, j): np.array([[_between(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
     pairs = {ends: table for ends, table in tables.items() if table.any()}
     chosen = _chosen(own, pairs, [np.array([state.turned for state in choices]) for choices in states])
@@ -123,31 +121,16 @@ def _between(one: State, other: State) -> float:
 def _chosen(
     own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], turned: Sequence[np.ndarray]
 ) -> Integers:
-    """States (n,) of lowest energy, in which a turn costs what the share of wrong sites says."""
+    """States (n,) of lowest energy. A turn costs the less, the more sites turn at the first cost."""
     # Imported here: it imports numba, which would slow every start of the program.
     from protochain.structure.sidechains.assignment import eliminated
 
-    wrong = _WRONG
-    for _ in range(_ROUNDS):
-        cost = _SCALE * float(np.log((1.0 - wrong) / wrong))
+    cost = _FIRST
+    for _ in range(2):
         states = eliminated([each + cost * its for each, its in zip(own, turned, strict=True)], pairs)
-        gains = _gains(own, pairs, turned, states)
-        likely = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
-        others = np.sort(likely)[:-_SPARED]
-        wrong = min(0.5, (_WRONG * _PRIOR + float(others.sum())) / (_PRIOR + len(others)))
+        n_turned = sum(bool(its[k]) for its, k in zip(turned, states, strict=True))
+        cost = max(_LEAST, _STRICT * (1.0 - 2.0 * n_turned / (len(own) + _PRIOR)))
     return states
-
-
-def _gains(
-    own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
-    turned: Sequence[np.ndarray], states: Integers,
-) -> Floats:  # fmt: skip
-    """(n,): what each site gains by a turn, with the others as they are."""
-    beside = [each.copy() for each in own]
-    for (i, j), table in pairs.items():
-        beside[i] += table[:, states[j]]
-        beside[j] += table[states[i]]
-    return np.array([e[~its].min() - e[its].min() for e, its in zip(beside, turned, strict=True)])
 
 
 def _is_free_amide(member: Member) -> bool:
