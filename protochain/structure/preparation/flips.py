@@ -46,11 +46,13 @@ TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
 """The nitrogen that has the hydrogen; of equal ones the first is taken."""
 _TURNABLE = 0.75
 """What the bond of a hydroxyl or water to a nitrogen counts, which may turn elsewhere."""
-_FIRST, _STRICT, _LEAST, _PRIOR = 0.5, 2.5, 0.25, 2
-"""What a turn must gain, in hydrogen bonds: at first, then if no site or if half of them were turned.
-
-The last is a number of sites that count as right beside those of the file.
-"""
+_WRONG, _PRIOR, _SCALE = 0.0018, 4.0, 0.4
+"""Usual share of sites that a file has the wrong way round, how many sites it counts as, and hydrogen bonds
+for each factor e in the odds. To be turned, a site must gain 2.5, and less if others are wrong, too."""
+_SPARED = 2
+"""Likeliest mistakes that say nothing of the other sites."""
+_ROUNDS = 12
+"""Estimates of that share, by expectation and maximisation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,16 +123,31 @@ def _between(one: State, other: State) -> float:
 def _chosen(
     own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], turned: Sequence[np.ndarray]
 ) -> Integers:
-    """States (n,) of lowest energy. A turn costs the less, the more sites turn at the first cost."""
+    """States (n,) of lowest energy, in which a turn costs what the share of wrong sites says."""
     # Imported here: it imports numba, which would slow every start of the program.
     from protochain.structure.sidechains.assignment import eliminated
 
-    cost = _FIRST
-    for _ in range(2):
+    wrong = _WRONG
+    for _ in range(_ROUNDS):
+        cost = _SCALE * float(np.log((1.0 - wrong) / wrong))
         states = eliminated([each + cost * its for each, its in zip(own, turned, strict=True)], pairs)
-        n_turned = sum(bool(its[k]) for its, k in zip(turned, states, strict=True))
-        cost = max(_LEAST, _STRICT * (1.0 - 2.0 * n_turned / (len(own) + _PRIOR)))
+        gains = _gains(own, pairs, turned, states)
+        likely = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
+        others = np.sort(likely)[:-_SPARED]
+        wrong = min(0.5, (_WRONG * _PRIOR + float(others.sum())) / (_PRIOR + len(others)))
     return states
+
+
+def _gains(
+    own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
+    turned: Sequence[np.ndarray], states: Integers,
+) -> Floats:  # fmt: skip
+    """(n,): what each site gains by a turn, with the others as they are."""
+    beside = [each.copy() for each in own]
+    for (i, j), table in pairs.items():
+        beside[i] += table[:, states[j]]
+        beside[j] += table[states[i]]
+    return np.array([e[~its].min() - e[its].min() for e, its in zip(beside, turned, strict=True)])
 
 
 def _is_free_amide(member: Member) -> bool:
