@@ -230,6 +230,7 @@ JOBS = (
         writes="sidechains sidechains_all sidechains_residues",
     ),
     Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1, apart=True),
+    Job("flips", f"{HERE}/flips.py --more MORE -o DIR", 2),
     Job(
         "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 18,
         writes="ddg ddg_programs ddg_pairs ddg_antisymmetry", continues=True,

@@ -65,7 +65,7 @@ RULES = (
     Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4]-[CX4]-[NX4+;!H0]", 6.3, "aminoethylphosphonates: [10]"),
     Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4H2]-[OX2]-C", 6.8, "alkoxymethylphosphonates, adefovir: [5]"),
     Rule(-1, "[OX2H]-[PX4;!H0;$(P-[O-])]", 6.6, "phosphorous acid, second: [1]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-[CX4;!$(C-[F,Cl,Br])]-P(=O)(-[O-])-[O-]", 10.5, "bisphosphonates, last: [10]"),
+    Rule(1, "[O-]-P(=O)(-[O-])-[CX4;!$(C-[F,Cl,Br])]-P(=O)(-[O-])-[O-]", 10.7, "bisphosphonates, last: [19]"),
     Rule(1, "[O-]-P(=O)(-[O-])-[CX4;$(C-[F,Cl,Br])]-P(=O)(-[O-])-[O-]", 8.3, "clodronate, last: [10]"),
     Rule(1, "[O-]-P(=O)(-[O-])-[CX4H2]-P(=O)(-[OX2H])-[O-]", 7.3, "methylenediphosphonate, third: [10]"),
     Rule(1, "[O-]-P(=O)(-[O-])-O-P(=O)(-[O-])-[O-]", 9.4, "diphosphate, last: [1]"),
@@ -124,7 +124,7 @@ RULES = (
     Rule(-1, "[CX4;!H0]1-C(=O)-c:c-C1=O", 7.2, "1,3-indandiones: [12]"),
     Rule(-1, "[CX4;!H0](-c)1-C(=O)-c:c-C1=O", 4.1, "2-aryl-1,3-indandiones, phenindione: [5]"),
     Rule(-1, "[CX4;!H0]1-C(=O)-[#6,#7,#8]~[#6]~[#6,#7,#8]-C1=O", 5.0,
-         "cyclic diones, dimedone 5.2, barbituric 4.0, Meldrum's acid 4.8: [12]"),
+         "cyclic diones, dimedone 5.2, barbituric 4.0, Meldrum's acid 5.0: [12]"),
     Rule(-1, "[CX4;!H0](-[CX3](=O)-[#6])-[CX3](=O)-[#6]", 8.9, "acetylacetones: [12]"),
     Rule(1, "[O-]-[C;R;!$(C-C=O)]=[C;R;!$(C(-C=O)-C=O)]-[C;R](=O)-c", 7.7, "tetracyclines, C12: [5]"),
     Rule(-1, "[OX2H]-[#6;r4]~[#6;r4]~[#6;r4]=O", 3.4, "squaric acid: [12]"),
@@ -167,8 +167,8 @@ RULES = (
     Rule(1, "[N-]1-C(=[O,S])-[#7]-C(=O)-[CX4;H0;$(C-c)]-C1=O", 7.4, "barbiturates, phenobarbital: [5]"),
     Rule(1, "[N-]1-C(=O)-[#7]-[CX4;!$(C(-c)-c)]-C1=O", 9.1, "hydantoins: [5]"),
     Rule(1, "[N-]1-C(=O)-[#7]-[CX4;$(C(-c)-c)]-C1=O", 8.3, "diarylhydantoins, phenytoin: [5]"),
-    Rule(-1, "[OX2H]-c1ccc2c(c1)[#8][#6][#6]c2-,=[#6]", 6.4, "fluoresceins: [17]"),
-    Rule(-1, "[OX2H]-c1ccc2c(c1)[O,o]~[#6]~[#6]~[#6]2-c1ccccc1", 6.4, "fluoresceins: [17]"),
+    Rule(-1, "[OX2H]-c1ccc2c(c1)[#8][#6][#6]c2-,=[#6]", 6.4, "fluoresceins: [18]"),
+    Rule(-1, "[OX2H]-c1ccc2c(c1)[O,o]~[#6]~[#6]~[#6]2-c1ccccc1", 6.4, "fluoresceins: [18]"),
     Rule(-1, f"[OX2H]-c1ccc(cc1)-[N,C]=C1C=C({_X})C(=O)C({_X})=C1", 5.9, "dichloroindophenol: [17]"),
     Rule(-1, "[OX2H]-C=C(-C(=O)-N)-N-S(=O)=O", 4.2, "oxicams: [5]"),
     Rule(-1, "[nH]1c(=O)[nH]c(=O)c2[nH]c(=O)[nH]c12", 5.4, "uric acid, N3: [7]"),
@@ -186,8 +186,9 @@ Kent, J. Chem. Soc. Perkin 1:913 (1986). [10] Martell, Smith, Critical Stability
 [11] Macon, Wolfenden, Biochemistry 7:3453 (1968). [12] Serjeant, Dempsey, Ionisation Constants of Organic
 Acids (1979). [13] Brauner-Osborne et al., J. Med. Chem. 43:2609 (2000). [14] Kohara et al., J. Med. Chem.
 39:5228 (1996). [15] Catalan, Abboud, Elguero, Adv. Heterocycl. Chem. 41:187 (1987). [16] Wasik et al., J.
-Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972). Not checked: the values of [8] to [17] have
-not been compared with these works again.
+Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972). [18] Sjoback, Nygren, Kubista, Spectrochim.
+Acta A 51:L7 (1995): 6.43. [19] Meloun, Ferencikova, Netolicka, Pekarek, J. Chem. Eng. Data 56:3848 (2011):
+10.74 of ibandronate. The abstracts of [18] and [19] were read. Values of [8] to [17] could not be verified.
 """
 _SIGMA = (
     (f"c-{_NITRO}", 1.24, 0.71, 1.25),

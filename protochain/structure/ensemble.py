@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import gemmi
@@ -20,6 +19,7 @@ from protochain.structure.formats.frames import Frame, Frames
 from protochain.structure.molecule.hydrogens import place_hydrogens
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import BACKBONE
+from protochain.structure.preparation.periodic import touching_image
 from protochain.structure.preparation.protonate import BONDED
 from protochain.structure.write import as_gemmi
 
@@ -154,14 +154,10 @@ class Ensemble(Value):
         """Bring molecules that touch none of those before them to an image that does, if there is one."""
         own = self._molecules
         for k, atoms in enumerate(own[1:], 1):
-            tree = KDTree(x[np.concatenate(own[:k])])
-            if np.min(tree.query(x[atoms])[0]) < _CONTACT:
-                continue
-            images = np.array([*product((-1, 0, 1), repeat=3)]) @ box
-            nearest = [float(np.min(tree.query(x[atoms] + image)[0])) for image in images]
-            if min(nearest) < _CONTACT:
+            turns = touching_image(KDTree(x[np.concatenate(own[:k])]), x[atoms], box, _CONTACT)
+            if turns is not None and turns.any():
                 x = np.array(x)
-                x[atoms] += images[int(np.argmin(nearest))]
+                x[atoms] += turns @ box
         return x
 
     def _rebuilt(self, x: Floats) -> Floats:

@@ -6,12 +6,14 @@ import gemmi
 import numpy as np
 import pytest
 from fixtures.samples import STRUCTURES, load
+from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 import protochain as pc
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import open_frames
 from protochain.structure.molecule.repairs import Kind
+from protochain.structure.preparation.periodic import touching_image
 
 TRUNCATED = gemmi.UnitCell(44.0, 44.0, 44.0, 109.4712206, 109.4712206, 109.4712206)
 BOXES = {
@@ -114,3 +116,14 @@ def test_a_wrapped_topology_serves_the_frames_of_a_trajectory(tmp_path):
     (frame,) = frames = open_frames(tmp_path / "x.xtc")
     at = Ensemble.of(pc.load(path), frames).at(frame)
     assert pdist(at.positions) == pytest.approx(pdist(load("1l2y.pdb").positions), abs=2e-3)
+
+
+@pytest.mark.parametrize("cell", BOXES.values(), ids=BOXES)
+def test_the_image_that_touches_is_the_shift_undone(cell):
+    lattice = np.array(cell.orth.mat.tolist()).T
+    draw = np.random.default_rng(3)
+    others, x = draw.normal(size=(40, 3)), draw.normal(loc=(4.0, 0.0, 0.0), size=(20, 3))
+    for turns in product((-1.0, 0.0, 1.0), repeat=3):
+        back = touching_image(KDTree(others), x - np.array(turns) @ lattice, lattice, 6.0)
+        assert back == pytest.approx(turns)
+    assert touching_image(KDTree(others), x + 0.5 * lattice.sum(axis=0), lattice, 1.0) is None

@@ -20,8 +20,8 @@ _HYDROGEN_BOND = 3.5
 """Angstrom, donor to acceptor, as in OpenMM's Modeller."""
 _FULL, _FARTHEST = 3.2, 3.7
 """Angstrom: up to the first a hydrogen bond of an amide counts fully, from the second on not at all."""
-_REACH = 6.0
-"""Angstrom: nitrogens are 2.2 from CG, and their hydrogen bonds 3.7 long at most."""
+_REACH, _PAIR = 6.0, 8.5
+"""Angstrom: ends are 2.4 from the pivot at most, and hydrogen bonds 3.7 long. From a pivot, and of two."""
 _BONDED = 1.9
 """Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
 _UPON = 1e-9
@@ -100,7 +100,7 @@ def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str
         reached = tree.query_ball_point(pivot, _REACH) if tree else []
         beside = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
         own.append(np.array([state.energy(beside) for state in choices]))
-    near = sorted(KDTree(pivots).query_pairs(2.0 * _REACH))
+    near = sorted(KDTree(pivots).query_pairs(_PAIR))
     tables = {(i, j): np.array([[_between(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
     pairs = {ends: table for ends, table in tables.items() if table.any()}
     chosen = _chosen(own, pairs, [np.array([state.turned for state in choices]) for choices in states])

@@ -156,13 +156,34 @@ class _Molecules:
         return [piece]
 
     def _image(self, tree: KDTree, atoms: Integers) -> Floats | None:
-        """Turns of the image of atoms that touches others, zeros if they touch them; None if none does."""
-        x = self.now(atoms)
-        if np.min(tree.query(x)[0]) < _CONTACT:
-            return np.zeros(3)
-        turns = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
-        nearest = [float(np.min(tree.query(x + turn @ self.lattice)[0])) for turn in turns]
-        return turns[int(np.argmin(nearest))] if min(nearest) < _CONTACT else None
+        return touching_image(tree, self.now(atoms), self.lattice, _CONTACT)
+
+
+def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> Floats | None:
+    """Find the image of a molecule that touches other molecules.
+
+    Parameters
+    ----------
+    tree
+        Positions of the other molecules.
+    x : array (n, 3)
+        Positions of the molecule, in the unit of the others.
+    lattice : array (3, 3)
+        Lattice vectors as rows.
+    contact
+        Largest distance of atoms that touch.
+
+    Returns
+    -------
+    array (3,), or None
+        How many of each lattice vector to add: zeros if the molecule touches the others as it is. None if no
+        image does.
+    """
+    if np.min(tree.query(x)[0]) < contact:
+        return np.zeros(3)
+    turns = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
+    nearest = [float(np.min(tree.query(x + turn @ lattice)[0])) for turn in turns]
+    return turns[int(np.argmin(nearest))] if min(nearest) < contact else None
 
 
 def _rank(turns: Floats | None) -> int:
