@@ -99,7 +99,7 @@ class SearchRunSettings(Settings):
         optional(at_least(1)),
         int,
         doc="Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: "
-        "200,000, without end if ``hours`` are given.",
+        "400,000, without end if ``hours`` are given.",
     )
     hours: float | None = setting(
         None,
