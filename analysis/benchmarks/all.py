@@ -170,7 +170,10 @@ JOBS = (
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 90, apart=True),
     Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 13, writes="race_gbsa race_obc2 race_vacuum"),
     Job("race-parts", f"{HERE}/parts.py -o DIR", 1, writes="minimise_parts"),
-    Job("near", f"{HERE}/near.py {HELD_OUT_FILES} -o DIR", 40, threads=1, writes="near near_ends near.png"),
+    Job(
+        "near", f"{HERE}/near.py {HELD_OUT_FILES} --kept KEPT -o DIR", 40,
+        threads=1, writes="near near_ends near.png", continues=True,
+    ),
     Job(
         "basins", f"{HERE}/near.py --basins {DESCENDED} -o DIR", 6,
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",

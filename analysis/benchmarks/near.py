@@ -1,7 +1,7 @@
 """How far a minimum lies from its start, how low and at what cost, against tolerance; and against OpenMM's.
 
     python analysis/benchmarks/near.py [STRUCTURE ...] [--more FOLDER] [-o DIR] [--quick] [--check]
-                                       [--basins STRUCTURE ...] [--limit SECONDS]
+                                       [--basins STRUCTURE ...] [--limit SECONDS] [--kept FOLDER]
 
 Starts are structures as prepared, nothing beside the protein: by default 12 that no minimiser was tuned on
 (MORE, --more). Two tables, of counts and energies, which do not depend on the load of the machine:
@@ -15,6 +15,7 @@ near_ends: `cartesian` and the real ends of OpenMM's minimiser, whose tolerance 
 of the forces on atoms, sqrt(3) times that of their components: at 10 it ends at 5.8 or below. Compared are
 (1) the ends of both runs, (2) that of OpenMM and where `cartesian` first has as small an RMS force, and
 (3) that of OpenMM and the lowest point of `cartesian` no farther from the start (C-alpha RMSD).
+Structures whose rows are in a folder (--kept) are not run again.
 
 With --basins, instead: starts are also taken down dx/dt = -grad E by scipy's BDF of orders 1 to 5
 with variable step, whose Jacobian is the Hessian by differences (Asenjo, Stevenson, Wales, Frenkel, J. Phys.
@@ -23,7 +24,9 @@ and those of the methods are polished and compared. A descent that takes longer 
 """
 
 import argparse
+import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from time import process_time
 
@@ -233,6 +236,7 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("structures", nargs="*", type=Path, metavar="STRUCTURE")
     own.add_argument("--basins", nargs="+", type=Path, metavar="STRUCTURE", help="only these, by descents")
     own.add_argument("--limit", type=float, default=1000.0, metavar="SECONDS", help="of a descent, at most")
+    own.add_argument("--kept", type=Path, metavar="FOLDER", help="of finished structures")
     own.add_argument("--check", action="store_true", help="only: that the way is that of each tolerance")
     return own
 
@@ -244,25 +248,31 @@ def main() -> None:
         files = [SAMPLES / "ala10.pdb"]
         options.basins = options.basins and files
     ways, own = [], []
-    for path in options.basins or files:
-        structure = load(path)
-        about = {
-            "structure": structure.name, "residues": structure.n_residues, "atoms": structure.n_atoms
-        }  # fmt: skip
-        if options.check:
-            check(structure, options.limit)
-        elif options.basins:
-            ways += [about | row for row in basins(structure, options.limit)]
-        else:
-            for table, rows in zip((ways, own), compared(structure), strict=True):
-                table += [about | row for row in rows]
-        print(structure.name, flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.kept or Path(scratch)
+        for path in options.basins or files:
+            structure = load(path)
+            about = {
+                "structure": structure.name, "residues": structure.n_residues, "atoms": structure.n_atoms
+            }  # fmt: skip
+            if options.check:
+                check(structure, options.limit)
+            elif options.basins:
+                ways += [about | row for row in basins(structure, options.limit)]
+            else:
+                parts = tuple(folder / f"{path.stem}-{table}.csv" for table in ("ways", "ends"))
+                if not all(part.exists() for part in parts):
+                    for part, rows in zip(parts, compared(structure), strict=True):
+                        made.kept_rows(part, partial(list, [about | row for row in rows]))
+                ways.append(pd.read_csv(parts[0]))
+                own.append(pd.read_csv(parts[1]))
+            print(structure.name, flush=True)
     if options.output and options.basins:
         made.write(pd.DataFrame(ways).round(4), options.output / "near_basins.csv", options.basins)
     elif options.output and not options.check:
-        table = pd.DataFrame(ways)
+        table = pd.concat(ways)
         made.write(table.round(4), options.output / "near.csv", files)
-        made.write(pd.DataFrame(own).round(4), options.output / "near_ends.csv", files)
+        made.write(pd.concat(own).round(4), options.output / "near_ends.csv", files)
         made.draw(curves(table), options.output / "near.png", files)
 
 
