@@ -55,6 +55,29 @@ def kinds_words(rows: pd.DataFrame) -> str:
     )
 
 
+@table("flips", "flips.csv")
+def flips(rows: pd.DataFrame) -> str:
+    """Flipped side chains that a preparation puts back, for both halves of the crystals."""
+    halves = rows[rows["structure"] == "all"].copy()
+    halves["crystals"] = [int((rows["half"] == half).sum()) - 1 for half in halves["half"]]
+    return of_rows(
+        halves,
+        ("half", "{half}"), ("crystals", "{crystals}"), ("sites", "{sites}"), ("put back", "{put_back}"),
+        ("deciding sites", "{deciding}"), ("put back", "{deciding_put_back}"), ("%", "{percent:.1f}"),
+        ("turned in the file as it is", "{turned}"), ("of these deciding", "{wrongly_turned}"),
+    )  # fmt: skip
+
+
+@table("flips-words", "flips.csv")
+def flips_words(rows: pd.DataFrame) -> str:
+    """Share of the deciding sites of both halves."""
+    total = rows[rows["structure"] == "all"][["deciding", "deciding_put_back"]].sum()
+    return paragraph(
+        f"In all, {total['deciding_put_back']} of {total['deciding']} deciding sites are put back,",
+        f"{100.0 * total['deciding_put_back'] / total['deciding']:.0f} %. The goal of 95 % is not met.",
+    )
+
+
 @table("startup", "startup.csv", keep_default_na=False)
 def startup(rows: pd.DataFrame) -> str:
     """Commands from the wheel on, and the seconds to the first relaxed model."""
