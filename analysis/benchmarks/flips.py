@@ -229,8 +229,13 @@ def measured(options: argparse.Namespace, name: str, half: str) -> dict[str, obj
     }  # fmt: skip
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command."""
+    return made.parser(__doc__ or "", more=True)
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "", more=True).parse_args()
+    options = parser().parse_args()
     halves = {name: ("chosen", "held out")[k % 2] for k, name in enumerate(STRUCTURES)}
     names = QUICK if options.quick else STRUCTURES
     rows = pd.DataFrame([measured(options, name, halves[name]) for name in names])
