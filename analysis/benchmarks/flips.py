@@ -30,7 +30,6 @@ from scipy.spatial import KDTree
 from sidechains import CRYSTALS, place, read
 
 import protochain as pc
-from protochain.structure.molecule.repairs import Kind
 
 STRUCTURES = sorted(
     {*CRYSTALS, "astex/1KZK_JE2_protein.pdb", "astex/1T40_ID5_protein.pdb", "1mj5_H.pdb"}
@@ -192,7 +191,7 @@ def _spheres(
 def load(structure: gemmi.Structure, name: str) -> tuple[pc.Structure, set[Site]]:
     """A prepared structure, and what was turned in it."""
     s = pc.as_structure(structure, name)
-    turned = [r.facts["residue"] for r in s.repairs if r.kind in (Kind.AMIDE_TURNED, Kind.RING_TURNED)]
+    turned = [r.facts["residue"] for r in s.repairs if r.kind.name in ("AMIDE_TURNED", "RING_TURNED")]
     return s, {(r.chain, r.number) for r in turned}
 
 

@@ -1,6 +1,6 @@
 """Words of identifiers, docstrings and pages: counts which may only fall.
 
-    python tests/project/test_words.py     # lower the table to today's counts
+    python tests/project/test_plain_words.py     # lower the table to today's counts
 
 A text may have as many as words.csv permits, or as many as its length permits by the final limits here. The
 final limits are 1.5 times the rates of OpenMM's manual and Python layer. A text without a row has only these.
