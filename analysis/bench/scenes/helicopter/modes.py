@@ -17,7 +17,7 @@ from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import Equations
+from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.linear_springs import STIFFNESS
@@ -75,9 +75,8 @@ class ReducedModel(Model):
 
     shapes: Floats = field(kw_only=True)
 
-    @property
-    def directions(self) -> Floats:
-        """(n_v, k) float: directions in which it can move, as columns."""
+    def directions_at(self, at: Phase) -> Floats:
+        """(n_v, k) float: directions in which it can move, as columns, the same at each phase."""
         return self.shapes
 
     @cached_property
