@@ -69,26 +69,26 @@ class Contacts:
         for i, j in s.bonds.tolist():
             self.bonded[i].append(j)
             self.bonded[j].append(i)
-        parts = [self._atom(k) for k in range(len(self.x))]
+        parts = [self.atom(k) for k in range(len(self.x))]
         self.radius, self.gives, self.takes, self.turns, self.counts = map(np.array, zip(*parts, strict=True))
         self.tree = KDTree(self.x)
 
-    def _atom(self, k: int) -> tuple[float, bool, bool, bool, bool]:
+    def atom(self, k: int) -> tuple[float, bool, bool, bool, bool]:
         """Radius; whether it gives, takes, has hydrogens that turn, and counts."""
         element, near = self.elements[k], [self.elements[j] for j in self.bonded[k]]
         if element == "H":
             polar = bool({*near} & {"N", "O", "S"})
             parent = self.bonded[k][0] if near else -1
-            turns = bool({*near} & {"O", "S"}) or (polar and self._hydrogens(parent) == 3)
+            turns = bool({*near} & {"O", "S"}) or (polar and self.hydrogens(parent) == 3)
             return POLAR if polar else OTHER, polar, False, False, not turns
         if gemmi.Element(element).is_metal:
             return METAL, True, False, False, True
         radius = 1.65 if element == "C" and "O" in near else RADII.get(element, 1.8)
         takes = element in ("O", "S") or (element == "N" and "H" not in near and len(near) == 2)
-        turns = (element == "O" and "H" in near) or (element == "N" and self._hydrogens(k) == 3)
+        turns = (element == "O" and "H" in near) or (element == "N" and self.hydrogens(k) == 3)
         return radius, False, takes, turns, True
 
-    def _hydrogens(self, k: int) -> int:
+    def hydrogens(self, k: int) -> int:
         return sum(self.elements[j] == "H" for j in self.bonded[k])
 
     def sites(self) -> Iterator[tuple[Site, float]]:
@@ -100,7 +100,7 @@ class Contacts:
             at = {self.names[k]: self.x[k] for k in own}
             if name not in ENDS or not {*ENDS[name][:2], *ENDS[name][2]} <= at.keys():
                 continue
-            if self._is_bonded(own, ENDS[name][2]):
+            if self.is_bonded(own, ENDS[name][2]):
                 continue
             start, pivot, ends = ENDS[name]
             axis = unit(at[pivot] - at[start])
@@ -108,11 +108,11 @@ class Contacts:
             over = {**at, **{end: at[pivot] + 2 * (arm @ axis) * axis - arm for end, arm in arms.items()}}
             number = f"{s.residue_number[r]}{str(s.residue_insertion_code[r]).strip()}"
             scores = [
-                max(self._score(own, name, its, state) for state in _states(name)) for its in (at, over)
+                max(self.score(own, name, its, state) for state in _states(name)) for its in (at, over)
             ]
             yield (str(s.residue_chain[r]).strip(), number), scores[0] - scores[1]
 
-    def _is_bonded(self, own: list[int], ends: dict[str, str]) -> bool:
+    def is_bonded(self, own: list[int], ends: dict[str, str]) -> bool:
         """Whether one of its ends is bonded to another residue or a metal."""
         for k in own:
             for j in self.tree.query_ball_point(self.x[k], 2.8) if self.names[k] in ends else ():
@@ -121,7 +121,7 @@ class Contacts:
                     return True
         return False
 
-    def _score(self, own: list[int], name: str, at: dict[str, np.ndarray], state: tuple[str, ...]) -> float:
+    def score(self, own: list[int], name: str, at: dict[str, np.ndarray], state: tuple[str, ...]) -> float:
         _, pivot, ends = ENDS[name]
         spheres = list(_spheres(name, at, state))
         near = [k for k in self.tree.query_ball_point(at[pivot], 8.0) if k not in own and self.counts[k]]
