@@ -89,6 +89,7 @@ class Contacts:
         return radius, False, takes, turns, True
 
     def hydrogens(self, k: int) -> int:
+        """Return the number of hydrogens that are bonded to an atom."""
         return sum(self.elements[j] == "H" for j in self.bonded[k])
 
     def sites(self) -> Iterator[tuple[Site, float]]:
@@ -122,6 +123,7 @@ class Contacts:
         return False
 
     def score(self, own: list[int], name: str, at: dict[str, np.ndarray], state: tuple[str, ...]) -> float:
+        """Return the contact score of a side chain in one orientation."""
         _, pivot, ends = ENDS[name]
         spheres = list(_spheres(name, at, state))
         near = [k for k in self.tree.query_ball_point(at[pivot], 8.0) if k not in own and self.counts[k]]
