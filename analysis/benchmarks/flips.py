@@ -108,9 +108,7 @@ class Contacts:
             arms = {end: at[end] - at[pivot] for end in ends}
             over = {**at, **{end: at[pivot] + 2 * (arm @ axis) * axis - arm for end, arm in arms.items()}}
             number = f"{s.residue_number[r]}{str(s.residue_insertion_code[r]).strip()}"
-            scores = [
-                max(self.score(own, name, its, state) for state in _states(name)) for its in (at, over)
-            ]
+            scores = [max(self.score(own, name, its, state) for state in _states(name)) for its in (at, over)]
             yield (str(s.residue_chain[r]).strip(), number), scores[0] - scores[1]
 
     def is_bonded(self, own: list[int], ends: dict[str, str]) -> bool:
