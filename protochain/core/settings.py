@@ -76,11 +76,11 @@ def documented(*kinds: type) -> Callable[[Documented], Documented]:
     def decorate(target: Documented) -> Documented:
         text = inspect.getdoc(target) or ""  # There is none if Python optimises.
         before, heading, after = text.partition("Parameters\n----------\n")
-        own, end, rest = after.partition("\n\n")
+        written, end, rest = after.partition("\n\n")
         described: Sequence[Any] = kinds or (target,)
-        entries = {each.name: _entry(each) for kind in described for each in fields(kind) if each.metadata}
+        entries = {item.name: _entry(item) for kind in described for item in fields(kind) if item.metadata}
         # An entry of the docstring itself may be of several parameters.
-        for entry in re.split(r"\n(?=\S)", own):
+        for entry in re.split(r"\n(?=\S)", written):
             entries |= dict.fromkeys(entry.partition(" : ")[0].split(", "), entry)
         ordered = dict.fromkeys(entries[name] for name in inspect.signature(target).parameters)
         if heading:
@@ -90,13 +90,13 @@ def documented(*kinds: type) -> Callable[[Documented], Documented]:
     return decorate
 
 
-def _entry(of: "Field[Any]") -> str:
+def _entry(item: "Field[Any]") -> str:
     """Entry of a field in the section of parameters of a docstring."""
-    its: Setting = of.metadata["setting"]
-    kind = its.type or getattr(of.type, "__name__", str(of.type).replace(" | None", ", optional"))
-    told = its.doc or its.help
-    told = f"One of {told}" if told[:1].islower() else told
-    return f"{of.name} : {kind}\n{textwrap.indent(textwrap.fill(told, 100), '    ')}"
+    described: Setting = item.metadata["setting"]
+    kind = described.type or getattr(item.type, "__name__", str(item.type).replace(" | None", ", optional"))
+    text = described.doc or described.help
+    text = f"One of {text}" if text[:1].islower() else text
+    return f"{item.name} : {kind}\n{textwrap.indent(textwrap.fill(text, 100), '    ')}"
 
 
 def settings_from(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
