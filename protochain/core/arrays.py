@@ -1,4 +1,4 @@
-"""Array types shared by all modules, read-only arrays, values that hold them, and vectors and angles."""
+"""Array types shared by all modules, read-only arrays, immutable values with arrays, vectors and angles."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -70,7 +70,7 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
 
 
 def finite(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """As :func:`floats`; raise if one is not finite."""
+    """As :func:`floats`, and raise if a number is not finite."""
     array = floats(values, shape, name)
     flat = array.reshape(-1)
     # The square is much quicker to ask, and finite only if all are; the squares of large numbers are not.
@@ -101,12 +101,12 @@ def sphere(n: int) -> Floats:
 
 
 def dots(a: Floats, b: Floats) -> Floats:
-    """Scalar products (...) of vectors (..., 3), bit for bit those of ``a[k] @ b[k]``."""
+    """Scalar products (...) of vectors (..., 3), bit for bit equal to ``a[k] @ b[k]``."""
     return np.asarray((a[..., None, :] @ b[..., :, None])[..., 0, 0])
 
 
 def means_by(of: Integers, values: Floats, n: int) -> Floats:
-    """Means (n,) of the values (m,) of each of n groups, ``of`` (m,) their groups; NaN of empty ones."""
+    """Means (n,) of the values (m,) of n groups, NaN of empty ones. ``of`` (m,) has the group of each value."""
     counts = np.bincount(of, minlength=n)
     return np.asarray(np.bincount(of, values, n) / np.where(counts, counts, np.nan))
 
@@ -123,7 +123,7 @@ def angle(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """Dihedrals of points (..., 3), rad, -pi to pi, with the sign of IUPAC; accurate at every angle."""
+    """Dihedrals of points (..., 3), rad, -pi to pi, with the sign of IUPAC. Accurate at every angle."""
     first, axis, last = b - a, c - b, d - c
     one, other = cross(first, axis), cross(axis, last)
     return np.asarray(np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, other), dots(one, other)))

@@ -32,7 +32,7 @@ def write_checkpoint(
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a file holds, each part looked up by its name, kind and shape: a ValueError if it does not fit."""
+    """Contents of a file, looked up by name, kind and shape. Raise ValueError if one does not fit."""
 
     arrays: Mapping[str, np.ndarray]
     values: Any
@@ -69,7 +69,7 @@ def _plain(value: Any, name: str, kinds: tuple[type, ...], least: float = -math.
 def checkpoint(
     path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
 ) -> Iterator[Checkpoint]:
-    """Read one of a run with the same settings; what does not fit, also inside the ``with``, is refused."""
+    """Read the checkpoint of a run with the same settings. Refuse misfits, also inside the ``with``."""
     try:
         with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             check_sizes(file)
@@ -114,7 +114,7 @@ def head_of(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def check_sizes(file: Any, packed: bool = False) -> dict[str, tuple[int, ...]]:
-    """Shapes of arrays, refused if they claim more than the archive holds: memory and time go first."""
+    """Shapes of arrays. Refuse them before allocation if they claim more than the archive has."""
     shapes = {}
     for member in file.zip.infolist():
         with file.zip.open(member) as stream:

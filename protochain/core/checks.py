@@ -1,6 +1,6 @@
 """Arguments of public calls, converted or refused once, in one line that names them.
 
-A check takes a value and the name of its argument, and returns the value that the function works with.
+A check receives a value and the name of its argument. It returns the value that the function works with.
 """
 
 import inspect
@@ -22,7 +22,7 @@ R = TypeVar("R")
 
 
 def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a function whose arguments of these names are checked before a call; defaults are not."""
+    """Decorate a function whose arguments of these names are checked before a call, without defaults."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
@@ -51,7 +51,7 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def refuse_misplaced(call: str, name: str) -> None:
-    """Refuse an option that another call takes, and say which; do nothing about others."""
+    """Refuse an option that belongs to another call, with the name of this call. Ignore other options."""
     place = next((place for place, names in _OPTIONS_OF.items() if name in names.split()), None)
     if name == "chain" or place:
         takes = (
@@ -67,17 +67,17 @@ _OPTIONS_OF = {
     "pc.energy(structure, {}=...)": "forcefield solvent engine device cutoff accuracy threads "
     "trust_forcefield system",
 }
-"""Options of a run that are decided before it, by the calls that take them."""
+"""Options of a run that the functions with these options decide before it."""
 
 
 def check_fields(of: Any, **checks: Check) -> None:
-    """Check fields of a frozen dataclass in its ``__post_init__``; set them to what the checks return."""
+    """Check fields of a frozen dataclass in its ``__post_init__``, and set them to the checked values."""
     for name, check in checks.items():
         object.__setattr__(of, name, check(getattr(of, name), name))
 
 
 def anything(value: Any, name: str) -> Any:
-    """Return a value as it is: it is checked where it is used."""
+    """Return a value as it is. The code that uses it checks it."""
     return value
 
 
@@ -96,7 +96,7 @@ def acidity(value: Any, name: str) -> float:
 
 
 AUTO = "auto"
-"""What a pH of 7 is called with pKa by PROPKA."""
+"""Name of a pH of 7 with pKa by PROPKA."""
 
 
 def acidity_or_auto(value: Any, name: str) -> float | str:
@@ -105,7 +105,7 @@ def acidity_or_auto(value: Any, name: str) -> float | str:
 
 
 def number_in(given: str) -> float | str:
-    """Return the number in a text, or the text where it has none."""
+    """Return the number in a text, or the text if it has none."""
     try:
         return float(given)
     except ValueError:
@@ -120,7 +120,7 @@ def integer(value: Any, name: str) -> int:
 
 
 def at_least(least: int) -> Check:
-    """Check for a whole number that is no smaller."""
+    """Check for a whole number of at least this size."""
 
     def check(value: Any, name: str) -> int:
         whole = integer(value, name)
@@ -132,7 +132,7 @@ def at_least(least: int) -> Check:
 
 
 def limited(check: Check, allows: Callable[[float], bool], remedy: str, unit: str = "") -> Check:
-    """Check further that a number lies where ``allows`` says, which is False of NaN."""
+    """Check further that a number is in the range of ``allows``, which is False of NaN."""
 
     def narrower(value: Any, name: str) -> Any:
         found = check(value, name)
@@ -153,7 +153,7 @@ def quantity(unit: str) -> Check:
 
 
 def plain(value: Any, unit: str, name: str) -> Any:
-    """Return the number or array of a Quantity of OpenMM in a unit; anything else as it is."""
+    """Return the number or array of a Quantity of OpenMM in a unit, or any other value as it is."""
     if not hasattr(value, "value_in_unit"):
         return value
     # Its module is loaded, or there would be no Quantity; others need not import it.
@@ -174,7 +174,7 @@ def optional(check: Check) -> Check:
 
 
 def cutoff_of(value: Any, name: str) -> Any:
-    """Return a distance in nm, also one in a text; "auto"; or None, for no cutoff, also as "none"."""
+    """Return a distance in nm, also from a text. Return "auto" as it is, None and "none" as no cutoff."""
     if value in ("auto", "none", None):
         return None if value == "none" else value
     try:
@@ -193,7 +193,7 @@ def cutoff_of(value: Any, name: str) -> Any:
 
 
 def accuracy_of(value: Any, name: str) -> Any:
-    """Return an RMS error of forces in kJ/mol/nm, also one in a text; "auto"; or "exact"."""
+    """Return an RMS error of forces in kJ/mol/nm, also from a text, or "auto", or "exact"."""
     if value in ("auto", "exact"):
         return value
     try:
@@ -206,9 +206,9 @@ def accuracy_of(value: Any, name: str) -> Any:
 
 
 LONGEST_CUTOFF = 1e6
-"""nm. Structures are smaller; reaction fields take the cube."""
+"""nm. Structures are smaller, and reaction fields cube it."""
 SHORTEST_CUTOFF = 0.5
-"""nm. Atoms three bonds apart, which no cutoff leaves out, and the minima of all Lennard-Jones pairs (0.40 of
+"""nm. Atoms three bonds apart, which every cutoff includes, and the minima of all Lennard-Jones pairs (0.4 of
 two sulphurs) lie within, and so do the neighbours that make most of a Born radius. Below, energies mean
 nothing: forces on Trp-cage are off by an eighth at 0.5, a quarter at 0.4, two thirds at 0.3, all at 0.1."""
 
@@ -288,7 +288,7 @@ def _is_file(given: str) -> bool:
 
 
 def _read_fasta(file: Path, number: int, name: str) -> str:
-    """Sequences of a FASTA file, or of one of its designs, from 1; 0 takes the only one."""
+    """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
     records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
     split = [
         (head, re.split("[/:]", "".join(its.split()).strip("/:*"))) for head, its in records if its.strip()
@@ -320,11 +320,11 @@ NO_BONDS: Literal["none"] = "none"
 """Word that drops the bonds that are found."""
 
 Bond = tuple[str, str] | Literal["none"]
-"""Two places, as ``("A:3", "A:40")``; or that word."""
+"""Two places, as ``("A:3", "A:40")``, or a single word."""
 
 
 def bonds(given: Any, name: str) -> tuple[Bond, ...]:
-    """Read bonds, ``("A:3", "A:40")``, ``"none"``, ``"A:3-A:40"``, with commas between; none empty."""
+    """Read bonds, ``("A:3", "A:40")``, ``"none"``, ``"A:3-A:40"``, with commas between. Refuse empty ones."""
     if given is None:
         return ()
     each = [given] if isinstance(given, str) else given
@@ -339,7 +339,7 @@ def bonds(given: Any, name: str) -> tuple[Bond, ...]:
 
 
 def _pair(bond: Any, name: str) -> tuple[str, str]:
-    """Read ``A:3-A:40``, where numbers may be negative, or a pair of places."""
+    """Read ``A:3-A:40``, with numbers that may be negative, or a pair of places."""
     if isinstance(bond, str):
         found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
         if found:
@@ -350,7 +350,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
 
 
 CHARGE_RULES = ("nagl", "mmff94", "gasteiger")
-"""Ways to the charges of ligands, beside a file."""
+"""Methods for the charges of ligands, in addition to a file."""
 
 
 def charges_of_ligands(given: Any, name: str) -> str:
@@ -361,13 +361,13 @@ def charges_of_ligands(given: Any, name: str) -> str:
 
 
 LigandSource = tuple[str, str]
-"""Name of a residue, or none for a molecule that is added; SMILES, or the path of a file."""
+"""Name of a residue, or none for an additional molecule, with SMILES or the path of a file."""
 MOLECULE_SUFFIXES = (".sdf", ".mol", ".mol2")
 """Of files with small molecules."""
 
 
 def file_and_record(given: str | Path) -> tuple[Path, int]:
-    """File and number of the molecule in it that ``FILE.sdf#2`` means; 0 where none is named."""
+    """File and number of its molecule in ``FILE.sdf#2``. The number is 0 if the text has none."""
     file, sign, number = str(given).rpartition("#")
     is_record = sign and number.isdecimal() and file.lower().endswith(MOLECULE_SUFFIXES)
     return (Path(file), int(number)) if is_record else (Path(str(given)), 0)
@@ -439,13 +439,13 @@ _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
 
 
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
-    """Split a text at its commas; leave a sequence of words as it is."""
+    """Split a text at its commas. Return a sequence of words as it is."""
     split = value.split(",") if isinstance(value, str) else _listed(value, name)
     return tuple(word.strip() for word in split if word.strip())
 
 
 def several(value: Any, name: str) -> tuple[Any, ...]:
-    """Return a sequence of anything as a tuple; a text is split at its commas, one object stands alone."""
+    """Return a sequence of anything as a tuple. Split a text at its commas, wrap a single object."""
     if isinstance(value, str):
         return words(value, name)
     return tuple(value) if isinstance(value, Iterable) else (value,)
@@ -457,7 +457,7 @@ def kinds(value: str | Iterable[str], name: str) -> str:
 
 
 def function(*parameters: str) -> Check:
-    """Check for a callable of parameters that bear these names in the message; None stays as it is."""
+    """Check for a callable of parameters with these names in the message. None stays as it is."""
 
     def check(value: Any, name: str) -> Any:
         if value is None or (callable(value) and _takes(value, len(parameters))):
@@ -469,11 +469,11 @@ def function(*parameters: str) -> Check:
 
 
 WATCHER = function("row", "x")
-"""Check for what is called with each row of a log and its positions."""
+"""Check for a callable that receives each row of a log and its positions."""
 
 
 def instance(kind: type, remedy: str) -> Check:
-    """Check for an object of a class; ``remedy`` says how one is made."""
+    """Check for an object of a class. ``remedy`` describes how to make one."""
 
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
@@ -484,7 +484,7 @@ def instance(kind: type, remedy: str) -> Check:
 
 
 def following(protocol: type, *names: str) -> Check:
-    """Check for an object of a user's own that has what a protocol asks for."""
+    """Check for a user's object with the attributes of a protocol."""
 
     def check(value: Any, name: str) -> Any:
         refuse_class(value, name)
@@ -501,7 +501,7 @@ def following(protocol: type, *names: str) -> Check:
 
 
 def refuse_class(value: Any, name: str) -> None:
-    """Refuse a class where an object of it is meant."""
+    """Refuse a class in place of its instance."""
     if isinstance(value, type):
         raise ProtochainError(f"{name} {value.__name__}: is a class; give an object, as {value.__name__}()")
 
@@ -531,7 +531,7 @@ def shown(value: Any) -> str:
 
 
 def _instead(value: Any, wanted: str, name: str) -> tuple[object, ...]:
-    """What to give instead of a value; numbers in a text are shown without their quotes."""
+    """Valid values to replace an invalid one. Numbers in a text are shown without their quotes."""
     bare = value.strip() if isinstance(value, str) else ""
     try:
         float(bare)

@@ -1,8 +1,8 @@
-"""The compiler of all kernels, with its settings, which numba keeps for the whole process, and its cache.
+"""The compiler of all kernels, with its settings, which numba has for the whole process, and its cache.
 
 Numba's own cache sees changes of a kernel's own file only, stops a program that can write nowhere, and may
-mix up files where two processes compile one kernel at once. Here a kernel is compiled anew if anything has
-changed that it is made of, by one process while others wait for it, and is kept where there is room.
+mix up files if two processes compile one kernel at once. Here a kernel is compiled anew if any of its sources
+has changed. One process compiles it while others wait, and caches the code in a folder with free space.
 """
 
 import gc
@@ -75,11 +75,11 @@ if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" 
     _SETTINGS.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
 
 PATIENCE = 120.0
-"""s. Longest wait for a kernel that another process compiles; then it is compiled here too."""
+"""s. Longest wait for a kernel that another process compiles, before this process compiles it too."""
 
 
 def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **options: Any) -> Any:
-    """Compile a function when it is first called, as ``numba.njit`` does; keep it if ``cache``."""
+    """Compile a function at its first call, as ``numba.njit`` does. Cache the code if ``cache``."""
     if function is None:
         return partial(njit, cache=cache, **options)
     # Nothing takes the address of a kernel: the wrapper for that would cost a twentieth of the time.
@@ -111,7 +111,7 @@ def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any
 
 
 class Store:
-    """Cache of one kernel, which numba asks for compiled code; made on first use."""
+    """Cache of the compiled code of one kernel, which numba calls. Made on first use."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -119,7 +119,7 @@ class Store:
 
     @cached_property
     def _files(self) -> Any:
-        """Numba's cache of files, None if there is no folder for them."""
+        """Numba's cache of files, None without a folder for them."""
         for folder in _folders(Path(self._function.__code__.co_filename).parent):
             before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
             try:
@@ -143,7 +143,7 @@ class Store:
         return str(self._files.cache_path) if self.kept else ""
 
     def has(self, signature: Any, context: Any) -> bool:
-        """Whether compiled code is there; numba's context tells the processor."""
+        """Whether compiled code is in the cache. Numba's context has the processor."""
         if not (self._enabled and self.kept):
             return False
         key = self._files._index_key(signature, context.codegen())
@@ -164,7 +164,7 @@ class Store:
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep compiled code; a full disk only loses it."""
+        """Store compiled code. A full disk only loses it."""
         if self._enabled and self.kept:
             try:
                 self._files.save_overload(signature, compiled)
@@ -217,7 +217,7 @@ class Store:
         self._enabled = False
 
     def flush(self) -> None:
-        """Forget what was compiled."""
+        """Remove the compiled code."""
         if self.kept:
             self._files.flush()
 
@@ -237,7 +237,7 @@ def _folders(source: Path) -> Iterator[str]:
 
 @cache
 def _temporary() -> str:
-    """Folder for temporary files that is this user's alone, because what is loaded from it is run."""
+    """Folder for temporary files of this user alone, because the program runs code from it."""
     try:
         own = Path(tempfile.gettempdir()) / f"protochain-{getattr(os, 'getuid', lambda: 'kernels')()}"
         own.mkdir(mode=0o700, exist_ok=True)
@@ -249,7 +249,7 @@ def _temporary() -> str:
 
 
 def _stamp(function: Callable[..., Any]) -> str:
-    """Digest of all that a kernel is made of: its file, those of kernels that it calls, and constants."""
+    """Digest of the sources of a kernel: its file, the files of kernels that it calls, and constants."""
     digest = hashlib.sha256(repr(_SETTINGS.SLP_VECTORIZE).encode())
     files: set[str] = set()
     constants: set[str] = set()
@@ -270,7 +270,7 @@ def _digest_of(file: str) -> bytes:
 
 
 def _collect(function: Any, files: set[str], constants: set[str], seen: set[Any]) -> None:
-    """Add what a function is made of, and the functions it calls."""
+    """Add the sources of a function, and the functions that it calls."""
     if function in seen:
         return
     seen.add(function)
@@ -292,13 +292,13 @@ def _collect(function: Any, files: set[str], constants: set[str], seen: set[Any]
 
 
 def _names(code: CodeType) -> set[str]:
-    """Global names and attributes that code reads, with that of functions inside."""
+    """Global names and attributes that code reads, also in nested functions."""
     return set(code.co_names).union(*(_names(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
 @contextmanager
 def _without_collection() -> Iterator[None]:
-    """Compile without garbage collection, which takes a tenth of the time and finds little."""
+    """Compile without garbage collection, which needs a tenth of the time and frees little."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -310,7 +310,7 @@ def _without_collection() -> Iterator[None]:
 
 @cache
 def _announce(kept: bool) -> None:
-    """Say what the first run waits for."""
+    """Report the reason why the first run waits."""
     if compile_helpers.is_helper():
         return
     if kept:

@@ -1,8 +1,8 @@
-"""Helpers that compile kernels ahead: processes beside the first run on a machine.
+"""Helpers that compile kernels ahead, in processes parallel to the first run on a machine.
 
 Numba compiles on one core. The run compiles kernels in the order in which it needs them, helpers begin at
-the other end, and each leaves out what another has in hand. ``kernels.txt`` lists the kernels of a run by
-default, with their types; one that is missing there, or has other types now, is compiled by the run itself.
+the other end, and each skips kernels in the hands of another. ``kernels.txt`` lists the kernels of a run by
+default, with their types. If one is missing there, or has other types now, the run itself compiles it.
 """
 
 import atexit
@@ -22,7 +22,7 @@ MOST = 3
 """Helpers. More would wait for one another's kernels."""
 _LIST = Path(__file__).with_name("kernels.txt")
 _HELPER = "PROTOCHAIN_HELPER"
-"""Environment variable that tells a process which helper it is."""
+"""Environment variable with the number of the helper."""
 
 _HELD: list[Any] = []
 """Lock of the process that has helpers, until it ends."""

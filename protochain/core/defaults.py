@@ -7,8 +7,8 @@ SOLVENT = "obc2"
 ENGINE = "auto"
 DEVICE = "auto"
 DEVICE_FROM, DEVICE_FROM_IN_FRAMES = 5_000, 1_000
-"""Atoms from which a GPU pays, by itself and where many structures share one context: on one H200 that takes
-1.1 to 1.9 s to make; then a minimisation in OBC2 takes 0.11 s at 7,561 atoms, 3.5 s on 16 cores, and an
+"""Atoms from which a GPU pays, by itself and if many structures share one context. On one H200 that needs
+1.1 to 1.9 s to make. There a minimisation in OBC2 needs 0.11 s at 7,561 atoms, 3.5 s on 16 cores, and an
 evaluation 0.2 ms at 2,500 atoms. At 2,000 atoms 16 cores are as quick."""
 JUDGE = "auto"
 CUTOFF: Literal["auto"] = "auto"
@@ -18,7 +18,7 @@ LONG_CUTOFF = 2.0  # nm. Forces differ by 1 to 4 kJ/mol/nm RMS from those of all
 ACCURACY: Literal["auto"] = "auto"
 TREE_FROM = 5_000
 TREE_FROM_IN_VACUUM = 9_000
-"""Atoms from which far pairs are summed by a tree, as that is quicker; in vacuum no solvent screens them."""
+"""Atoms from which a tree sums far pairs, because it is quicker. In vacuum no solvent screens them."""
 TREE_ACCURACY = 1e-3  # kJ/mol/nm, RMS error of the forces
 
 HINGES = "phi psi chi"
@@ -28,7 +28,7 @@ LIGAND = "ligand"  # what moves in a rigid protein
 PH = 7.0
 LIGAND_CHARGES = "nagl"  # what Sage 2.3.0, the force field of ligands, was fitted with
 KEEP = ("near",)
-"""Molecules kept with the protein as fixed obstacles: all but waters, if an atom is near the protein."""
+"""Molecules that become fixed obstacles: all but waters, if an atom is near the protein."""
 KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein
 
 METHOD = "cartesian"  # ends near its start
@@ -37,11 +37,11 @@ COMPARED = ("kcm", "md", "lbfgs", "cartesian", "openmm")
 """The two methods of the original comparison, the best in torsions, the default, and the reference."""
 REPEATS = 3
 TOLERANCE = 1.0
-"""kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force: where hinges turn, and where minima are
+"""kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force: if hinges turn, and if minima are
 compared (:func:`protochain.compare`, many starts)."""
 TOLERANCE_IN_ALL_ATOMS = 5.0
 """kJ/mol/nm, of a minimisation by itself: near the start, and 0.8 kJ/mol per residue above the minimum (0.1
-to 2.5 in 12 proteins; at 10, 0.8 to 7.7). OpenMM's default, 10 of the RMS length of the forces on atoms, is
+to 2.5 in 12 proteins, and 0.8 to 7.7 at 10). OpenMM's default, 10 of the RMS length of the atoms' forces, is
 5.8 of their components. The curve is in analysis/docs/measured/minimisers.md."""
 MAX_EVALUATIONS = 5000
 SEED = 0

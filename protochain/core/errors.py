@@ -1,6 +1,6 @@
-"""Exceptions for misuse and bad input, each with a message of one line that says what to do.
+"""Exceptions for misuse and bad input, each with a message of one line and a remedy.
 
-The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
+The outcome of a run is a :class:`protochain.minimisers.Status`, not an exception.
 """
 
 import errno
@@ -11,7 +11,7 @@ from enum import Enum
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``."""
+    """An argument in a message, with the text of Python, as ``time_step`` or ``keep="all"``."""
 
     name: str
     value: str | bool | None = None  # What to give.
@@ -32,7 +32,7 @@ class Angle:
 
 
 class Fault(Enum):
-    """What a refusal is about, for those who must tell one from another: its words are for people."""
+    """Machine-readable cause of a refusal. The text is for people."""
 
     BENDS = "nothing is left to bend"
     DEPENDENT = "rows that depend on others"
@@ -67,9 +67,9 @@ class ProtochainError(ValueError):
     Parameters
     ----------
     *parts : str, Argument or Angle
-        What the line is made of.
+        Parts of the line.
     fault : Fault, optional
-        What it is about, where somebody needs to know.
+        Cause, if a caller needs it.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class ProtochainError(ValueError):
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """The line in parts, for one that says more."""
+        """The line in parts, for an error with a longer message."""
         return self.args
 
     def told(self, say: Callable[["Argument | Angle"], str]) -> str:
@@ -101,12 +101,12 @@ class ProtochainError(ValueError):
 
 
 def refused(name: str, given: object, *remedy: object) -> ProtochainError:
-    """Return the refusal of an argument that is given as this: its name, what is given, and what to do."""
+    """Return the refusal of an argument: its name, its value, and the remedy."""
     return ProtochainError(Argument(name), f" {given}: ", *remedy)
 
 
 class WriteError(ProtochainError):
-    """A file that could not be written: the system's reason, what was saved besides, what to do."""
+    """A file that could not be written, with the system's reason, the other saved files, and the remedy."""
 
     def __init__(self, path: object, reason: OSError | str, saved: str = "", *then: str | Argument) -> None:
         super().__init__(str(path), reason, saved, *then)
@@ -121,7 +121,7 @@ class WriteError(ProtochainError):
         return (f"{path}: not written ({why}){saved and f'; saved: {saved}'}; {remedy}", *after)
 
     def with_saved(self, saved: str, *then: str | Argument) -> "WriteError":
-        """Return the same error, which also says what was saved, and what to do after the remedy."""
+        """Return the same error with a report of the saved files, and a second remedy."""
         path, reason, *_ = self.args
         return WriteError(path, reason, saved, *then)
 
@@ -139,19 +139,19 @@ _REMEDIES = {
 
 
 class WriteWarning(RuntimeWarning):
-    """A file beside a result could not be written; the result itself is there."""
+    """A secondary file could not be written. The result itself is complete."""
 
 
 class StrayWarning(RuntimeWarning):
-    """A run has gone far from a start whose atoms overlapped; it goes on."""
+    """A run has gone far from a start whose atoms overlapped. It goes on."""
 
 
 class InertiaWarning(RuntimeWarning):
-    """A file of a robot has an inertia that no body has; it is used as it is."""
+    """A file of a robot has an inertia that no body can have. The program uses it unchanged."""
 
 
 class DeviceWarning(RuntimeWarning):
-    """A device does not compute; the processor does."""
+    """A device does not compute, so the processor does."""
 
 
 class StructureError(ProtochainError):
@@ -177,7 +177,7 @@ class MechanicsError(ProtochainError):
 
 
 class BodyError(MechanicsError):
-    """What is wrong with one body of a tree, by its number, and what to do."""
+    """Error of one body of a tree, by its number, with a remedy."""
 
     def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:
         super().__init__(int(body), stated, fault=fault)

@@ -12,7 +12,7 @@ if Path("matplotlibrc").exists():
 
 
 class Figure(PlainFigure):
-    """Figure that notebooks show without pyplot, which would keep every figure in memory."""
+    """Figure that notebooks show without pyplot, which would store every figure in memory."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()

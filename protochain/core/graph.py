@@ -1,4 +1,4 @@
-"""Graphs of bonds: who is bonded to whom, what hangs together, and what is few bonds away."""
+"""Graphs of bonds: bonded atoms, connected molecules, and neighbours few bonds away."""
 
 from collections.abc import Hashable
 from itertools import combinations
@@ -29,7 +29,7 @@ def both_ways(bonds: Integers) -> Integers:
 
 
 def bond_angles(bonds: Integers, n: int) -> Integers:
-    """(k, 3) int: atoms of every bond angle, its vertex in the middle; by vertex, then by the others."""
+    """(k, 3) int: atoms of every bond angle, its vertex in the middle, sorted by vertex, then by the others."""
     found = [
         (first, middle, last)
         for middle, around in enumerate(neighbours(bonds, n))
@@ -39,12 +39,12 @@ def bond_angles(bonds: Integers, n: int) -> Integers:
 
 
 def components(bonds: Integers, n: int) -> Integers:
-    """(n,) int: number of the molecule of each atom, all that bonds (m, 2) hold together."""
+    """(n,) int: number of the molecule of each atom, connected by bonds (m, 2)."""
     return np.asarray(connected_components(_adjacency(bonds, n), directed=False)[1], dtype=np.int64)
 
 
 def grouped(of: Integers) -> list[Integers]:
-    """Members of each group in ascending order, where ``of`` (n,) has the group of each, from 0 on."""
+    """Members of each group in ascending order. ``of`` (n,) has the group of each member, from 0 on."""
     return np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
 
 
@@ -61,7 +61,7 @@ def joined(bonds: Integers, n: int, most: int) -> Integers:
 
 
 def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
-    """Atoms at most so many bonds away, itself included; ``bonded[atom]`` are those bonded to one."""
+    """Atoms at most so many bonds away, and the atom itself. ``bonded[atom]`` are the neighbours of one."""
     found = {start}
     for _ in range(most):
         found |= {other for each in found for other in bonded[each]}
@@ -69,7 +69,7 @@ def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
 
 
 def beyond(bonded: Any, first: int, second: int) -> set[int]:
-    """Atoms on the second's side of a bond, without both; through a ring they lead back to the first."""
+    """Atoms on the second's side of a bond, without both. Through a ring they lead back to the first."""
     found, ahead = {first, second}, [second]
     while ahead:
         fresh = [i for i in bonded[ahead.pop()] if i not in found]

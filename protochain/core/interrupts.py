@@ -1,4 +1,4 @@
-"""Signals that end a run: held while a result is at stake, let through where none is."""
+"""Signals that end a run: deferred while a result is at stake, passed on at other times."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ from types import FrameType
 from typing import TypeVar
 
 ENDING = ("SIGTERM", "SIGHUP", "SIGXCPU")
-"""Signals that the command line takes for an interrupt: an end, a lost connection, a limit of CPU time."""
+"""Signals that the command line treats as an interrupt: an end, a lost connection, a limit of CPU time."""
 _SIGNALS = [signal.SIGINT, *(getattr(signal, name) for name in ENDING if hasattr(signal, name))]
 _POLL = 0.1
 """s between looks at a call that runs in another thread."""
@@ -40,7 +40,7 @@ class _Noted(list[int]):
 
 @contextmanager
 def held_interrupts() -> Iterator[list[int]]:
-    """Collect these signals in a list instead of KeyboardInterrupt; nested calls share the outer's."""
+    """Collect these signals in a list instead of KeyboardInterrupt. Nested calls share the outer list."""
     handlers = {number: signal.getsignal(number) for number in _SIGNALS}
     outer = next((handler for handler in handlers.values() if isinstance(handler, _Noted)), None)
     if outer is not None:
@@ -62,7 +62,7 @@ def held_interrupts() -> Iterator[list[int]]:
 
 @contextmanager
 def open_to_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at once within :func:`held_interrupts`, where nothing is lost by it."""
+    """Raise KeyboardInterrupt at once within :func:`held_interrupts`, if no result would be lost."""
     holding = {
         number: handler for number in _SIGNALS if isinstance(handler := signal.getsignal(number), _Noted)
     }

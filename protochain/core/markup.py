@@ -1,11 +1,11 @@
-"""HTML of values in notebooks; numbers with the right form of what they count; lists and texts cut short."""
+"""HTML of values in notebooks, numbers with a singular or plural noun, and shortened lists and texts."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
 
 
 def counted(n: int, what: str, several: str = "") -> str:
-    """Return a number and what it counts: ``1 round``, ``2 rounds``, or as given where an s does not do."""
+    """Return a number and its noun: ``1 round``, ``2 rounds``, or an irregular plural."""
     return f"{n} {what if n == 1 else several or what + 's'}"
 
 

@@ -10,7 +10,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7444C8", "#5C6670", "#6
 Seen by protanopes, deuteranopes and tritanopes no two are nearer than 10 in CIELAB.
 """
 START = "#999999"
-"""Colour of what a run began with."""
+"""Colour of the start of a run."""
 DASHES = ("solid", (0, (6, 2)), (0, (6, 2, 1.5, 2)), (0, (3, 1.5)))
 MARKERS = "osD^vPX*<>"
 

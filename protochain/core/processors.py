@@ -34,7 +34,7 @@ def allowed(root: Path, own: Path) -> float:
 
 
 def _text(path: Path) -> str:
-    """Return what a file says, nothing if there is none."""
+    """Return the text of a file, empty if there is none."""
     try:
         return path.read_text()
     except OSError:

@@ -1,6 +1,6 @@
 """Settings: fields of frozen values, each declared once with its check, its help and its option.
 
-Functions take them by name; commands make their options of them, batches the columns of their manifests.
+Functions use them by name, commands as their options, and batches as the columns of their manifests.
 """
 
 import inspect
@@ -20,7 +20,7 @@ P = ParamSpec("P")
 
 @dataclass(frozen=True)
 class Setting:
-    """What commands and manifests know of a field beside its name and default."""
+    """Data of a field for commands and manifests, in addition to its name and default."""
 
     # (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
     check: Check
@@ -38,7 +38,7 @@ class Setting:
 
     @property
     def turns_off(self) -> bool:
-        """Whether the option turns off what is on."""
+        """Whether the option turns off a feature that is on."""
         return self.option.startswith("--no-")
 
     def names(self, field: str) -> list[str]:
@@ -46,13 +46,13 @@ class Setting:
         return self.option.split() or [f"--{field.replace('_', '-')}"]
 
     def column(self, field: str) -> str:
-        """Name of a field in a manifest, which is that of the option where this gives the field's value."""
+        """Name of a field in a manifest: the name of the option if this sets the field's value."""
         name = self.names(field)[0]
         return field if "/" in name or self.turns_off else name.removeprefix("--").replace("-", "_")
 
 
 def setting(default: Any, help: str, check: Check, kind: Any = str, option: str = "", **more: Any) -> Any:
-    """Field of a frozen dataclass of settings; arguments as of :class:`Setting`."""
+    """Field of a frozen dataclass of settings, with arguments as for :class:`Setting`."""
     return field(default=default, metadata={"setting": Setting(check, help, kind, option, **more)})
 
 
@@ -100,7 +100,7 @@ def _entry(item: "Field[Any]") -> str:
 
 
 def settings_from(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
-    """Settings of the arguments of a call, which bear their names; ``more`` are its other fields."""
+    """Settings of the arguments of a call by their names. ``more`` are the other fields."""
     return kind(**{name: given[name] for name, _ in settings_of(kind)}, **more)
 
 

@@ -20,7 +20,7 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 
 
 def json_text(values: Any, indent: int | None = 2) -> str:
-    """Text of values as JSON, which has no infinity: null where a number is not finite."""
+    """Text of values as JSON, which has no infinity: null if a number is not finite."""
     return json.dumps(_finite(values), indent=indent, default=str, allow_nan=False)
 
 
@@ -62,7 +62,7 @@ def as_utf8(text: str) -> str:
 
 
 def regular(path: Path) -> Path:
-    """Return a path as it is, unless what is there is no file: to read a pipe or a device may never end."""
+    """Return a path as it is, unless it is not a regular file: to read a pipe or a device may never end."""
     if path.exists() and not path.is_file():
         raise ProtochainError(f"{path}: is not a regular file; give the name of one")
     return path
@@ -78,7 +78,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written."""
+    """Call ``write`` with a temporary path next to ``path``, then rename it: no file is ever half written."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         # Libraries take the format and the packing of a file from the end of its name.
@@ -94,7 +94,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text atomically, as UTF-8; of names that are none, other bytes as ``repr`` has them."""
+    """Write text atomically as UTF-8. Names that are not UTF-8 have the other bytes as ``repr`` has them."""
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8", errors="backslashreplace"))
 
 
@@ -105,13 +105,13 @@ _TEMPORARY = re.compile(r"\.protochain-[0-9a-f]{32}\w*\.part(\..+)?")
 
 
 def temporary_stem() -> str:
-    """Return the first part of a new name of a temporary file or folder; ``.part`` follows it."""
+    """Return the first part of a new name of a temporary file or folder, before ``.part``."""
     return f".protochain-{uuid4().hex}"
 
 
 @contextmanager
 def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
-    """Hold a folder for one process, made and removed if empty; to resume, removes temporary files."""
+    """Reserve a folder for one process. Make it, remove it if empty, and remove temporary files to resume."""
     made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -131,7 +131,7 @@ def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
 
 @contextmanager
 def claimed_files(*paths: Path) -> Iterator[None]:
-    """Reserve output files that grow row by row for one process, by a lock file beside each of them."""
+    """Reserve output files that grow row by row for one process, by a lock file next to each of them."""
     with ExitStack() as locks:
         for path in sorted({path.absolute() for path in paths}):
             with writing(path):
@@ -148,7 +148,7 @@ _LOCKS: set[tuple[Path, int]] = set()
 
 @contextmanager
 def _locked(path: Path, refusal: str) -> Iterator[None]:
-    """Lock a file and remove it at the end; calls inside this context by the same thread have the lock."""
+    """Lock a file and remove it at the end. Calls inside this context by the same thread have the lock."""
     owner = path.resolve(), get_ident()
     if owner in _LOCKS:
         yield
@@ -167,7 +167,7 @@ def _locked(path: Path, refusal: str) -> Iterator[None]:
 
 
 def _open_locked(path: Path, refusal: str) -> int:
-    """Open and lock a file; warn if the file system has no locks."""
+    """Open and lock a file. Warn if the file system has no locks."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:

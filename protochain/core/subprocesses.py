@@ -5,6 +5,6 @@ from pathlib import Path
 
 
 def own_python(statement: str) -> list[str]:
-    """Command that runs a statement; ``-P``, so that a ``gemmi.py`` in the current folder is not imported."""
+    """Command that runs a statement. ``-P`` ignores a ``gemmi.py`` in the current folder."""
     first = "import sys; sys.path.append(sys.argv.pop(1)); "
     return [sys.executable, "-P", "-c", first + statement, str(Path(__file__).parents[2])]

@@ -1,4 +1,4 @@
-"""Where the time of a run goes: each moment belongs to the innermost part that is on, so they add up."""
+"""Run time by part: each moment belongs to the innermost active part, so the parts add up."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,22 +9,22 @@ PARTS = (
     "imports", "kernels", "reading", "preparing", "chain", "energy", "loop", "evaluations", "metric",
     "judging", "measuring", "writing", "rest",
 )  # fmt: skip
-"""Modules and the start of Python; compiled code, loaded or made; the file; what it lacks; rigid bodies; the
-System and native terms; the loop but for its evaluations and metrics; these; start and end by the judge; what
-is wrong with them; files; all else."""
+"""Modules and the start of Python, compiled code (loaded or made), the file, its missing atoms, rigid
+bodies, the System and native terms, the loop but for its evaluations and metrics, these, start and end by the
+judge, their violations, files, the remainder."""
 LOOP = ("loop", "evaluations", "metric")
 """Parts that make up the loop."""
 
 
 class Clock:
-    """Seconds by part; and those of the loop in kernels that all threads share."""
+    """Seconds by part, and seconds of the loop in kernels that all threads share."""
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.shared, self.within, self._since = 0.0, ["rest"], perf_counter()
 
     def turn(self) -> None:
-        """Count what has passed since the last turn to the part that is on."""
+        """Count the time since the last turn for the active part."""
         now = perf_counter()
         self.seconds[self.within[-1]] += now - self._since
         self._since = now
@@ -35,7 +35,7 @@ _CLOCK: ContextVar[Clock | None] = ContextVar("clock", default=None)
 
 @contextmanager
 def timed(from_start: bool = False) -> Iterator[None]:
-    """Time a run, unless it is part of one that is timed; ``from_start`` of the process, which imported."""
+    """Time a run, unless it is part of a timed run. ``from_start`` counts from the start of the process."""
     if _CLOCK.get() is not None:
         yield
         return
@@ -74,7 +74,7 @@ def until_now() -> dict[str, float | None]:
 
 @contextmanager
 def shared() -> Iterator[None]:
-    """Count what follows as a kernel that threads share, if a loop called it; not until it is compiled."""
+    """Count the next calls as a kernel that threads share, if a loop called it, once it is compiled."""
     if (clock := _CLOCK.get()) is None or clock.within[-1] not in LOOP:
         yield
         return

@@ -1,4 +1,4 @@
-"""Units: nm, ps, amu, kJ/mol, rad and kelvin inside; other units only at input and output.
+"""Units: nm, ps, amu, kJ/mol, rad and kelvin inside. Other units appear only at input and output.
 
 In these units kJ/mol = amu nm^2/ps^2, so mechanics needs no conversion constants.
 """

@@ -24,7 +24,7 @@ def correct(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, momenta: Floats,
     h: float, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite the residual of the momenta, ``x`` (n_v,), by a Newton step; h is half the time step."""
+    """Overwrite the residual of the momenta, ``x`` (n_v,), by a Newton step. h is half the time step."""
     # Frames, ``twists`` (nb, 6) of the bodies and ``momenta`` (nb, 6) of each body with all beyond it belong
     # to the midpoint.
     n = len(bodies)

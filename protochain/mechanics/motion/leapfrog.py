@@ -79,7 +79,7 @@ class Leapfrog(Integrator):
         return there if kicked.loads is None else replace(there, work=work)
 
     def check_return(self, system: Equations, before: Phase, after: Phase, time_step: float) -> None:
-        """Check that a step backwards ends where the step began, without an energy: its drift decides."""
+        """Check without an energy that a step backwards ends at the start of the step, by its drift."""
         system = canonical(system, "leapfrog")
         refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
 
@@ -135,7 +135,7 @@ def _drift(
     links: Integers, bodies: Floats, time_step: float, q: Floats, qd: Floats, p: Floats, rotation: Floats,
     origin: Floats, packed: Floats, gain: Floats, pivot: Floats, root: Floats,
 ) -> bool:  # fmt: skip
-    """Overwrite q and p; write frames and factors at the new q; return whether Newton's method failed."""
+    """Overwrite q and p. Write frames and factors at the new q. Return whether Newton's method failed."""
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
@@ -202,7 +202,7 @@ def _advance_momenta(links: Integers, h: float, qd: Floats, gradient: Floats, p:
 
 @kernel
 def _add_step(step: Floats, x: Floats) -> float:
-    """Add a step to x; return its largest entry relative to the largest of x, NaN if any entry is NaN."""
+    """Add a step to x. Return its largest entry relative to the largest of x, NaN if any entry is NaN."""
     change, size = 0.0, 0.0
     for k in range(len(x)):
         x[k] += step[k]

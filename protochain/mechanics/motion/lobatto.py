@@ -1,13 +1,13 @@
 """Generalised leapfrog in canonical coordinates: the Lobatto IIIA-B pair of order two.
 
-Hairer, Lubich, Wanner, *Geometric Numerical Integration* (2006); free roots follow the
+Hairer, Lubich, Wanner, *Geometric Numerical Integration* (2006). Free roots follow the
 exponential map (Bou-Rabee, Marsden, Found. Comput. Math. 9:197, 2009), which conserves the momentum of an
 isolated chain to rounding. One half step is implicit in the velocities, the other in the positions: both are
 solved by fixed-point iteration of O(n) sweeps, without the energy.
 
 The stage velocities solve M(q) v = p with q and p half a step apart. In long, open chains they are far from
 any velocity of the motion: energy errors are large, and beyond some length the iteration diverges.
-:mod:`protochain.mechanics.motion.leapfrog` takes both at the midpoint and is the default.
+:mod:`protochain.mechanics.motion.leapfrog` evaluates both at the midpoint and is the default.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ _NOISE = 1e-10
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
-    """Drift by the Lobatto pair; parameters as for :func:`protochain.mechanics.motion.leapfrog.drift`."""
+    """Drift by the Lobatto pair. Parameters as for :func:`protochain.mechanics.motion.leapfrog.drift`."""
     tree, there = at.factors.tree, Workspace.like(at)
     q, qd, end, old = at.q.copy(), at.qd.copy(), np.empty_like(p), at.factors
     failed = _drift(
@@ -46,7 +46,7 @@ def _drift(
     root: Floats, kicked: Floats, h: float, q: Floats, qd: Floats, p: Floats, new_rotation: Floats,
     new_origin: Floats, packed: Floats, new_gain: Floats, new_pivot: Floats, new_root: Floats,
 ) -> bool:  # fmt: skip
-    """Half a step explicit in q and half a step implicit in q, of h each; return whether it failed."""
+    """Half a step explicit in q and half a step implicit in q, of h each. Return whether it failed."""
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     gradient, half, rates = np.empty(n_v), np.empty(n_v), np.empty(n_v)
@@ -116,7 +116,7 @@ def _solve(
 
 @kernel
 def _replace(old: Floats, new: Floats) -> float:
-    """Copy new into old; return the largest change relative to the largest value, NaN if any is NaN."""
+    """Copy new into old. Return the largest change relative to the largest value, NaN if any is NaN."""
     change, size = 0.0, 0.0
     for k in range(len(old)):
         # A sum, not a comparison, so that NaN propagates.

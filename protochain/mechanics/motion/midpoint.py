@@ -19,7 +19,7 @@ from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.hamilton import momenta
 
 LEAST = 1e-3
-"""rad, or size of the tree, in a step: what moves by less is solved for as exactly as if it moved so far."""
+"""rad, or size of the tree, in a step. Smaller motions are solved to the same absolute error."""
 _CLOSER = 3
 """Iterations from an error of a radian in a step, times the tolerance, to one of the largest velocity."""
 
@@ -37,7 +37,7 @@ class ImplicitMidpoint(Integrator):
     ----------
     tolerance : float
         Error of the equation for the velocities, relative to the largest velocity, or to ``LEAST`` a step if
-        that is more; where rounding leaves less, relative to a radian in a step.
+        that is more. If rounding leaves less, relative to a radian in a step.
     """
 
     reversible: ClassVar[bool] = True
@@ -100,7 +100,7 @@ class ImplicitMidpoint(Integrator):
 
 
 def _root(function: Callable[[Floats], Floats], guess: Floats, tolerance: float, iterations: int) -> Floats:
-    """Where a function (n,) of (n,) is zero, by Newton-Krylov iteration."""
+    """Zero of a function (n,) of (n,), by Newton-Krylov iteration."""
     find: Any = newton_krylov
     identity = LinearOperator((len(guess), len(guess)), matvec=lambda x: x)
     root: Floats = find(

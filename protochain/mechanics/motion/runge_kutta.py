@@ -11,10 +11,10 @@ from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
 
 @dataclass(frozen=True)
 class RungeKutta4(Integrator):
-    """Classical Runge-Kutta method of order four; free roots follow the exponential map.
+    """Classical Runge-Kutta method of order four. Free roots follow the exponential map.
 
     Munthe-Kaas, BIT 38:92 (1998): the displacement of a root within the step is integrated, so that
-    quaternions keep unit length.
+    quaternions have unit length.
     """
 
     tableau: ClassVar[Tableau] = CLASSICAL
@@ -22,7 +22,7 @@ class RungeKutta4(Integrator):
 
     @property
     def remedy(self) -> str:
-        """What to take where a time step is too long."""
+        """Remedy for a time step that is too long."""
         return "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
@@ -50,7 +50,7 @@ class DormandPrince(Integrator):
 
     @property
     def remedy(self) -> str:
-        """What to take where a time step is too long."""
+        """Remedy for a time step that is too long."""
         return f"take DormandPrince({self.tolerance / 100:.1g}), or for stiff dampers Rosenbrock()"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:

@@ -16,7 +16,7 @@ Tried = tuple[Phase, Floats, Floats]
 _LEAST = 1e-9
 """Shortest substep, relative to the step."""
 _MOST = 100_000
-"""Substeps of a step: ten seconds of a small tree, and far more than what is not stiff needs."""
+"""Substeps of a step: ten seconds of a small tree, and far more than a motion without stiffness needs."""
 
 
 def in_substeps(

@@ -26,7 +26,7 @@ Drive = Callable[[float], tuple[Floats, Floats, Floats]]
 NOTHING: Floats = read_only(np.zeros(0))
 """Work of no loads."""
 RETURNED = 1e-6
-"""How exactly a step back returns, in radians and sizes of the tree; far above round-off, far below the
+"""Precision of the return of a step back, in radians and sizes of the tree, far above round-off, below the
 distance of solutions."""
 
 
@@ -54,7 +54,7 @@ class Applied(NamedTuple):
     Parameters
     ----------
     wrenches : (nb, 6) float, optional
-        Moment on each body about the origin of its frame, force; world axes.
+        Moment on each body about the origin of its frame, and force, along world axes.
     torques : (n_v,) float, optional
         Torques (forces) at the hinges.
     """
@@ -108,7 +108,7 @@ class Phase:
     work : (k,) float
         Work since the start, of each of the system's loads, then of its drive if it has one.
     loads : (k, n_v) float, optional
-        Each of them alone, as torques; the last the torques of the drive. None without loads and drive.
+        Single loads as torques, then the torques of the drive. None without loads and drive.
     """
 
     q: Floats
@@ -138,7 +138,7 @@ class Phase:
 
     @property
     def effort(self) -> Floats:
-        """(n_v,) float: sizes of the torques, of which those at rest cancel."""
+        """(n_v,) float: sizes of the torques, which cancel at rest."""
         return np.abs(self.torque) + (0.0 if self.loads is None else np.sum(np.abs(self.loads), axis=0))
 
     @property
@@ -156,7 +156,7 @@ class Constraint(Protocol):
         """Velocities (n_v,) of momenta p (n_v,), projected onto those that satisfy the constraint."""
 
     def drift(self, drift: "Drift", at: Phase, p: Floats, time_step: float) -> "Drifted":
-        """Drift with constraint impulses, such that the constraint holds at the end."""
+        """Drift with constraint impulses, such that the constraint is satisfied at the end."""
 
 
 Drifted = tuple[Floats, Floats, Articulated]
@@ -173,7 +173,7 @@ class Integrator(Protocol):
 
     @property
     def remedy(self) -> str:
-        """What to take where a time step is too long."""
+        """Remedy for a time step that is too long."""
         return "take a shorter one"
 
     def init(self, system: "Equations", q: Floats, qd: Floats) -> Phase:
@@ -181,10 +181,10 @@ class Integrator(Protocol):
         return system.at(q, qd)
 
     def step(self, system: "Equations", at: Phase, time_step: float) -> Phase:
-        """Return the phase one time step later; a negative step runs backwards."""
+        """Return the phase one time step later. A negative step runs backwards."""
 
     def check_return(self, system: "Equations", before: Phase, after: Phase, time_step: float) -> None:
-        """Check that a step from ``after`` backwards ends where the step to it began.
+        """Check that a step from ``after`` backwards ends at the start of the step to it.
 
         Raises
         ------
@@ -195,7 +195,7 @@ class Integrator(Protocol):
 
 
 def refuse_departure(system: "Equations", q: Floats, wanted: Floats) -> None:
-    """Raise if a step back has found other coordinates than those where the step began."""
+    """Raise if a step back has other coordinates than the start of the step."""
     if not np.max(np.abs(q - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
         raise StepTooLargeError("the time step cannot be taken back")
 
@@ -204,8 +204,8 @@ def refuse_departure(system: "Equations", q: Floats, wanted: Floats) -> None:
 class Equations:
     """Equations of motion of a tree in a potential, under loads: accelerations, of any state.
 
-    Runge-Kutta and Rosenbrock methods take any of them. These are of rigid bodies; others override what they
-    do in another way.
+    Runge-Kutta and Rosenbrock methods accept any of them. These are of rigid bodies. Others override the
+    methods with their own.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class Equations:
     Raises
     ------
     MechanicsError
-        If the tree has driven hinges and there is no drive, or the other way round.
+        If the tree has driven hinges and there is not a drive, or the other way round.
     """
 
     tree: Tree
@@ -231,7 +231,7 @@ class Equations:
     drive: Drive | None = field(default=None, kw_only=True)
 
     beyond: ClassVar[str] = "bodies that bend"
-    """What integrators that move by momenta of rigid bodies do not take, for their refusal."""
+    """Features that integrators by momenta of rigid bodies do not support, for their refusal."""
 
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
@@ -247,7 +247,7 @@ class Equations:
         return any(load.depends_on_velocity for load in self.loads)
 
     def at(self, q: Floats, qd: Floats, time: float = 0.0, work: Floats | None = None) -> Phase:
-        """Return the phase at q (n_q,) with velocities qd (n_v,), where the drive puts its hinges."""
+        """Return the phase at q (n_q,) with velocities qd (n_v,), driven hinges as the drive prescribes."""
         q, qd, factors = self.placed(time, q, qd)
         potential, torque, loads = self.forces(time, q, qd, factors)
         p = self.momenta(factors, qd)
@@ -258,12 +258,12 @@ class Equations:
         return Phase(q, qd, p, potential, torque, factors, time, work, loads)
 
     def placed(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
-        """Coordinates (n_q,) and velocities (n_v,) where drive and joints put them, and the factors there."""
+        """Coordinates (n_q,) and velocities (n_v,) as drive and joints prescribe them, and their factors."""
         q, qd = self.driven_to(time, q, qd)
         return q, qd, self.factors(q)
 
     def driven_to(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-        """Coordinates (n_q,) and velocities (n_v,) with those of driven hinges as they are at a time."""
+        """Coordinates (n_q,) and velocities (n_v,), with the driven hinges' values at a time."""
         if self.drive is None:
             return q, qd
         q, qd = q.copy(), qd.copy()
@@ -273,7 +273,7 @@ class Equations:
     def forces(
         self, time: float, q: Floats, qd: Floats, factors: Articulated
     ) -> tuple[float, Floats, Floats | None]:
-        """Potential energy; torques (n_v,) of potential and loads together, and of each load alone."""
+        """Potential energy, torques (n_v,) of potential and loads together, and of each load alone."""
         potential, torque = self.potential(q, factors)
         if not self.loads:
             return potential, torque, None
@@ -283,7 +283,7 @@ class Equations:
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None, factors: Articulated
     ) -> tuple[Floats, Floats | None]:
-        """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
+        """Accelerations (n_v,) under torques (n_v,), and the loads, whose last are the torques of the drive."""
         if self.drive is None:
             return self.held(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
         driven, prescribed, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
@@ -314,7 +314,7 @@ class Equations:
         return self.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations
 
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
-        """Accelerations (n_v,) of which joints of loops keep what they allow, and their torques; here all."""
+        """Accelerations (n_v,) that the joints of loops allow, and their torques. Here they allow all."""
         return qdd, NO_TORQUE
 
     def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
@@ -334,7 +334,7 @@ class Equations:
         return self.at(at.q, at.qd, time, at.work)
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities; driven hinges keep theirs."""
+        """Return the phase with other velocities, except at driven hinges."""
         if self.depends_on_velocity or self.drive is not None:
             return self.at(at.q, qd, at.time, at.work)
         return replace(at, qd=qd, p=self.momenta(at.factors, qd))
@@ -346,7 +346,7 @@ class Equations:
 
     @property
     def units(self) -> Floats:
-        """(n_v,) float: of each freedom, what a radian or a size of the tree is in it."""
+        """(n_v,) float: amount of each freedom for a radian or a size of the tree."""
         return self.tree.units
 
     @property
@@ -367,7 +367,7 @@ class Equations:
         return load.along(self.tree, time, q, qd, factors.frames)
 
     def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
-        """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
+        """Accelerations (n_v,) under torques, with the prescribed ones at driven hinges."""
         return accelerations(self.tree, q, qd, tau)
 
     def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
@@ -387,7 +387,7 @@ class Equations:
 class System(Equations):
     """Forest of rigid bodies, whose velocities are M^-1 times their momenta: it can be kicked and drift.
 
-    The leapfrog and the midpoint rule take no other.
+    The leapfrog and the midpoint rule require such a system.
 
     Parameters
     ----------
@@ -396,7 +396,7 @@ class System(Equations):
     potential : callable
         Energy and torques at q.
     constraint : Constraint, optional
-        Constraint for the leapfrog; other integrators ignore it.
+        Constraint for the leapfrog. Other integrators ignore it.
     loads, drive : tuple of Load, and callable, optional
         As of :class:`Equations`.
     """
@@ -404,7 +404,7 @@ class System(Equations):
     constraint: Constraint | None = None
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
+        """Return the phase with other velocities, on the constraint, except at driven hinges."""
         if self.constraint is not None:
             qd = self.constraint.project_velocities(at.factors, self.momenta(at.factors, qd))
         return super().with_velocities(at, qd)

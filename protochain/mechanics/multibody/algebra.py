@@ -1,4 +1,4 @@
-"""Vectors and 3x3 matrices as tuples, which the compiler keeps in registers.
+"""Vectors and 3x3 matrices as tuples, which the compiler stores in registers.
 
 A symmetric matrix is (xx, xy, xz, yy, yz, zz), a general one row by row. Spatial quantities are pairs,
 rotation first, about a hinge point and along world axes: a twist is (omega, u), a wrench (moment, force).
@@ -54,7 +54,7 @@ def hinge_axis(rotation: Floats, b: int) -> Vector:
 
 @kernel
 def lever(origin: Floats, b: int, p: int) -> Vector:
-    """Vector from the origin of body p to that of body b."""
+    """Vector from the origin of body p to the origin of body b."""
     return origin[b, 0] - origin[p, 0], origin[b, 1] - origin[p, 1], origin[b, 2] - origin[p, 2]
 
 
@@ -234,7 +234,7 @@ def rigid_inertia(turn: Matrix, bodies: Floats, b: int) -> tuple[float, Vector, 
 
 @kernel
 def add_rigid(p: Inertia, rigid: tuple[float, Vector, Symmetric]) -> Inertia:
-    """Sum of a spatial inertia and that of a rigid body: C = [m c]x, M = m 1."""
+    """Sum of a spatial inertia and the inertia of a rigid body: C = [m c]x, M = m 1."""
     i, c, m = p
     mass, (x, y, z), s = rigid
     return (

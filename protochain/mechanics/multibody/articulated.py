@@ -1,6 +1,6 @@
 """M^-1 in O(n) by articulated bodies: hinges are eliminated one by one from the leaves to the root.
 
-Featherstone (1983); Jain, Vaidehi, Rodriguez, J. Comput. Phys. 106:258 (1993), whose factors are
+Featherstone (1983). Jain, Vaidehi, Rodriguez, J. Comput. Phys. 106:258 (1993), whose factors are
 M = [1 + H phi K] D [1 + H phi K]^T and M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K].
 """
 
@@ -120,7 +120,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 
 
 def refuse_singular(failed: int, pose: Floats) -> None:
-    """Raise MechanicsError if a sweep returned a body rather than -1; ``pose`` is q, or the rotations."""
+    """Raise MechanicsError if a sweep returned a body rather than -1. ``pose`` is q, or the rotations."""
     if failed >= 0 and not np.isfinite(pose).all():
         raise BodyError(
             failed,
@@ -143,7 +143,7 @@ def factorise(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, gain: Floats,
     pivot: Floats, root: Floats, wrench: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Factorise M; return the first body whose hinge has no pivot, or -1. ``packed``, I_b, becomes P."""
+    """Factorise M. Return the first body whose hinge has no pivot, or -1. ``packed``, I_b, becomes P."""
     # From the leaves inward, with h_b the twist of hinge b and X_c what moves twists from b to its child c::
     #     P_b = I_b + sum over children c of X_c^T P_c+ X_c
     #     D_b = h_b^T P_b h_b + a_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
@@ -209,7 +209,7 @@ def inward_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
     wrench: Floats, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite tau in ``x`` by the input of :func:`outward_rates`; accumulate loads in ``wrench``."""
+    """Overwrite tau in ``x`` by the input of :func:`outward_rates`, and add loads to ``wrench``."""
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
@@ -241,7 +241,7 @@ def outward_rates(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, root: Floats,
     motion: Floats, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite ``x``, from :func:`inward_loads`, by the solution; write the motion of the bodies."""
+    """Overwrite ``x``, from :func:`inward_loads`, by the solution. Write the motion of the bodies."""
     omega, u = ZERO, ZERO
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]

@@ -20,11 +20,11 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
     Returns
     -------
     (n_v, n_v) float, amu nm^2
-        Mass matrix; entries between two slides are in amu, between a turn and a slide in amu nm.
+        Mass matrix. Entries between two slides are in amu, between a turn and a slide in amu nm.
 
     Notes
     -----
-    Composite-rigid-body algorithm: Walker, Orin (1982); Featherstone (2008). O(n depth), and
+    Composite-rigid-body algorithm: Walker, Orin (1982), Featherstone (2008). O(n depth), and
     O(n^2) to clear the matrix.
     """
     out = np.zeros((tree.n_v, tree.n_v))

@@ -101,7 +101,7 @@ def respond(factors: Eliminated, wrench: Floats) -> Floats:
 
 
 def solve(factors: Eliminated, tau: Floats) -> Floats:
-    """Solve M x = tau by x = (A - B H^-1 B^T) tau; tau (n_v,) -> (n_v,)."""
+    """Solve M x = tau by x = (A - B H^-1 B^T) tau, from tau (n_v,) to (n_v,)."""
     # A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
     # cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability
     # of Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or

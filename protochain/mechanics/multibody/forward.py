@@ -20,14 +20,14 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
         Rigid bodies and their coordinates.
     qd, tau : (n_v,) float, rad/ps (nm/ps for slides) and kJ/mol
-        Velocities and torques; of driven hinges the accelerations, in place of torques.
+        Velocities and torques. Driven hinges have accelerations in place of torques.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
-        Moment on each body about its origin, force; world axes.
+        Moment on each body about its origin, and force, along world axes.
 
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
-        Time derivatives of qd; those of driven hinges as given. Their torques are then
+        Time derivatives of qd, as prescribed at driven hinges. Their torques are then
         :func:`~protochain.mechanics.multibody.inverse_dynamics` there.
 
     Raises
@@ -74,7 +74,7 @@ def _solved(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floa
 
 
 def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> Floats:
-    """Accelerations by sweeps of their own, where hinges are driven or bodies have no mass."""
+    """Accelerations by separate sweeps, if hinges are driven or bodies have no mass."""
     frames, given = pose(tree, q), np.zeros(tree.n_v)
     given[tree.driven_v] = x[tree.driven_v]
     loads = newton_euler.inertial_loads(tree, frames, qd, given) - wrench

@@ -31,7 +31,7 @@ def put_momenta(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats,
     carried: Floats, p: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    """Write momenta and gradient; ``twists`` and ``carried`` are workspaces (nb, 6)."""
+    """Write momenta and gradient. ``twists`` and ``carried`` are workspaces (nb, 6)."""
     outward_twists(links, bodies, rotation, origin, qd, twists)
     body_momenta(bodies, rotation, twists, carried)
     _inward_products(links, bodies, rotation, origin, twists, carried, p, gradient)
@@ -57,7 +57,7 @@ def _inward_products(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, carried: Floats,
     p: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    """Write h . Pi and (V x h) . Pi of every hinge, with Pi the sum of what is carried beyond it."""
+    """Write h . Pi and (V x h) . Pi of every hinge. Pi is the sum over the bodies beyond it."""
     for b in range(len(bodies) - 1, -1, -1):
         parent, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k

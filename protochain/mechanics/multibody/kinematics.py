@@ -18,7 +18,7 @@ class Frames(Value):
     Parameters
     ----------
     rotation : (nb, 3, 3) float
-        Axes of the bodies in the world, as columns; the third is the hinge axis.
+        Axes of the bodies in the world, as columns. The third is the hinge axis.
     origin : (nb, 3) float, nm
         Origins of the body frames, which lie on the hinge axes.
     """
@@ -112,12 +112,12 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
     tree, frames : Tree, Frames
         Rigid bodies and their world frames.
     wrench : (nb, 6) float, kJ/mol/rad and kJ/mol/nm
-        Moment on each body about its frame's origin, then force; world axes.
+        Moment on each body about its frame's origin, then force, along world axes.
 
     Returns
     -------
     (n_v,) float
-        Torques, kJ/mol per unit of q; a free root has (moment, force) about its frame's origin, world axes.
+        Torques, kJ/mol per unit of q. A free root has (moment, force) about its frame's origin, world axes.
 
     Notes
     -----
@@ -140,12 +140,12 @@ def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
     tree, q : Tree and (n_q,) float
         Rigid bodies and their coordinates.
     qd : (n_v,) float
-        Hinge rates; a free root rotates by the world-frame vector omega and moves by u.
+        Hinge rates. A free root rotates by the world-frame vector omega and moves by u.
 
     Returns
     -------
     (n_q,) float
-        New coordinates; a free root is rotated by exp(omega), so that its twist is (omega, u) throughout.
+        New coordinates. A free root is rotated by exp(omega), so its twist is (omega, u) throughout.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats,
 
 @kernel
 def turned_by_ball(seat: algebra.Matrix, q: Floats, k: int) -> algebra.Matrix:
-    """Axes y, z, x, as columns, of what a rotation vector turns, from those at q = 0."""
+    """Axes y, z, x, as columns, after a rotation by a rotation vector, from the axes at q = 0."""
     x, y, z = q[k], q[k + 1], q[k + 2]
     w, x, y, z = quaternion_of(x, y, z)
     a = algebra.turned(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
@@ -193,13 +193,13 @@ def turned_by_ball(seat: algebra.Matrix, q: Floats, k: int) -> algebra.Matrix:
 
 @kernel
 def half_sine(half: float) -> float:
-    """sin(half) / (2 half), by its series near zero, where the quotient loses digits."""
+    """sin(half) / (2 half), by its series near zero, because the quotient loses digits there."""
     return 0.5 * np.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
 
 
 @kernel
 def seat(bodies: Floats, b: int, above: algebra.Matrix, at: Vector) -> tuple[algebra.Matrix, Vector]:
-    """Frame of body b at q = 0, from that of its parent."""
+    """Frame of body b at q = 0, from the frame of its parent."""
     x = algebra.turned(above, algebra.vector(bodies, b, AXES))
     y = algebra.turned(above, algebra.vector(bodies, b, AXES + 3))
     z = algebra.turned(above, algebra.vector(bodies, b, AXES + 6))
@@ -234,7 +234,7 @@ def moved_freely(at: Vector, q: Floats, k: int) -> tuple[algebra.Matrix, Vector]
 
 @kernel
 def end_of(rotation: Floats, origin: Floats, b: int, point: Vector) -> tuple[Vector, Vector]:
-    """Lever arm of a point from the origin of its body, and its place; both are the point in the world."""
+    """Lever arm of a point from the origin of its body, and its place. Both are the point in the world."""
     if b < 0:
         return point, point
     arm = algebra.turned(algebra.matrix(rotation, b), point)
@@ -266,7 +266,7 @@ def outward_twists(
 def inward_torques(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, wrench: Floats, tau: Floats
 ) -> None:
-    """Write tau; accumulate loads inward in ``wrench``."""
+    """Write tau. Accumulate loads inward in ``wrench``."""
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k

@@ -34,7 +34,7 @@ def solve_closed(
     method : str
         Method as in :func:`solve_mass`.
     factors : Articulated, optional
-        Factors of M at these frames, if they are known; ``fixman`` has its own.
+        Factors of M at these frames, if they are known. ``fixman`` has its own.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def solve_closed(
     Notes
     -----
     In Fixman's method the rows are appended to the hard rows: one more block of H, eliminated last
-    (Fixman 1974; Lee, Wang, Chirikjian 2007). O(m n + m^3).
+    (Fixman 1974, Lee, Wang, Chirikjian 2007). O(m n + m^3).
     """
     g = row_matrix(tree, frames, rows)
     if checked(method) == "fixman":
@@ -76,7 +76,7 @@ def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "art
     rows : Rows
         Constraint rows.
     method : str
-        Method as in :func:`solve_mass`; ``fixman`` obtains it from the appended block of H.
+        Method as in :func:`solve_mass`. ``fixman`` obtains it from the appended block of H.
 
     Returns
     -------

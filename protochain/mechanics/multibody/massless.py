@@ -1,4 +1,4 @@
-"""Bodies without mass: whether what is outward of them resists their hinges."""
+"""Bodies without mass: whether the outward bodies resist their hinges."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from protochain.mechanics.multibody.algebra import dot, kernel
 from protochain.mechanics.multibody.tree import MASS, PARENT, SLIDE, TURN, Q, V
 
 _LEFT = 1e-12
-"""A pivot below this fraction of what it is the remainder of has too few digits."""
+"""A pivot below this fraction of its minuend has too few digits."""
 
 
 @kernel

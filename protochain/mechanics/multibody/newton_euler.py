@@ -22,10 +22,10 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
         Rigid bodies and their coordinates.
     qd, qdd : (n_v,) float, rad/ps and rad/ps^2 (nm for slides)
-        Velocities and their time derivatives; a free root has (omega, u), world axes, a ball the relative
+        Velocities and their time derivatives. A free root has (omega, u), world axes, a ball the relative
         angular velocity along its own axes.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
-        External loads: moment about the body's origin, force; world axes.
+        External loads: moment about the body's origin, and force, along world axes.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
 
     Notes
     -----
-    Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980); Featherstone (2008). O(n).
+    Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980), Featherstone (2008). O(n).
 
     Examples
     --------
@@ -136,7 +136,7 @@ def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    (3,) float, amu nm/ps; (3,) float, amu nm^2/ps
+    (3,) float, amu nm/ps, and (3,) float, amu nm^2/ps
         Linear and angular momentum.
     """
     momenta = momenta_of_bodies(tree, frames, velocities(tree, frames, qd))
@@ -214,14 +214,14 @@ def put_motions(
 
 @kernel
 def carried_along(motion: Motion, arm: Vector) -> Motion:
-    """Motion of a point of a body, from that of the body's origin."""
+    """Motion of a point of a body, from the motion of the body's origin."""
     omega, alpha, a = motion
     return omega, alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
 
 
 @kernel
 def moved_by_hinge(motion: Motion, axis: Vector, turn: float, slide: float, qd: float, qdd: float) -> Motion:
-    """Motion of a body whose hinge moves, from that with the hinge at rest."""
+    """Motion of a body whose hinge moves, from its motion with the hinge at rest."""
     omega, alpha, a = motion
     # The axis rotates with the parent.
     rate = cross(omega, scale(qd, axis))

@@ -1,7 +1,7 @@
 """Operational-space inverse inertias of bodies and constraints, and the gradient of ln det M. O(n).
 
 The operational-space inverse inertia of body b, Y_b = J_b M^-1 J_b^T, follows from its parent's by one
-outward sweep: Y_b = psi^T Y_p psi + h h^T / D. Rodriguez, Jain, Kreutz-Delgado, J. Guidance 15:1321 (1992);
+outward sweep: Y_b = psi^T Y_p psi + h h^T / D. Rodriguez, Jain, Kreutz-Delgado, J. Guidance 15:1321 (1992).
 Jain, *Robot and Multibody Dynamics* (2011).
 """
 
@@ -19,7 +19,7 @@ from protochain.mechanics.multibody.small import dense_inertia, solve_lower, sol
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 _LOCKED = 1e300
-"""Pivot of a driven hinge, where ln det M is asked for along it: nothing turns a hinge of this inertia."""
+"""Pivot of a driven hinge if ln det M is computed along it: nothing turns a hinge of this inertia."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Rows:
     Parameters
     ----------
     body : (m, 2) int
-        Bodies of each row; -1 for the world.
+        Bodies of each row, -1 for the world.
     wrench : (m, 2, 6) float
-        Weights of (omega, u) of the origin of each body, world axes; ignored for the world.
+        Weights of (omega, u) of the origin of each body, world axes. Ignored for the world.
     """
 
     body: Integers
@@ -55,7 +55,7 @@ def point_rows(frames: Frames, bodies: tuple[int, int], points: Floats) -> Rows:
     frames : Frames
         World frames of the bodies.
     bodies : tuple of 2 int
-        Bodies; -1 for the world.
+        Bodies, -1 for the world.
     points : (2, 3) float, nm
         World positions of the two points.
 
@@ -112,7 +112,7 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     Returns
     -------
     (n_v,) float
-        Gradient; zero for free roots, whose motion leaves ln det M unchanged.
+        Gradient. It is zero for free roots, whose motion leaves ln det M unchanged.
 
     Raises
     ------
@@ -165,8 +165,8 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows, factors: Articul
 
     Notes
     -----
-    Nodes are the rows' bodies, the bodies where their paths to the root meet, and the roots. One sweep
-    finds, for each body, the operator that transmits a load to the next node inward; loads are transmitted
+    Nodes are the rows' bodies, the bodies at which their paths to the root meet, and the roots. One sweep
+    finds, for each body, the operator that transmits a load to the next node inward. Loads are transmitted
     from node to node, and two of them combine by Y of the outermost body that both reach. O(n + m^2) for
     rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011).
     """
@@ -181,7 +181,7 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows, factors: Articul
 
 
 def _gain_at_hinge(factors: Articulated) -> Floats:
-    """(nb, 6) float: P h / D about the body's own origin, where the factors have it about the parent's."""
+    """(nb, 6) float: P h / D about the body's own origin. The factors have it about the parent's."""
     gain, parent, origin = factors.gain.copy(), factors.tree.parent, factors.frames.origin
     arm = np.where(parent[:, None] >= 0, origin - origin[parent], 0.0)
     gain[:, :3] -= arrays.cross(arm, gain[:, 3:])
@@ -259,7 +259,7 @@ def _outward_gradient(
 
 @kernel
 def _trace_with_twist(axis: Vector, turn: float, slide: float, y: Floats, plus: Floats) -> float:
-    """tr(crm(h) Z) of Z = Y P+ and h = (turn, slide) axis, crm(h) = [[w]x, 0; [v]x, [w]x]."""
+    """tr(crm(h) Z) of Z = Y P+ and h = (turn, slide) axis, with crm(h) of rows [w]x, 0 and [v]x, [w]x."""
     trace = 0.0
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -333,7 +333,7 @@ def _operational(
 
 @kernel
 def _nodes(links: Integers, row_body: Integers) -> Integers:
-    """(nb,) int: number of each node, where rows act or paths meet; -1 between nodes, -2 elsewhere."""
+    """(nb,) int: number of each node, at which rows act or paths meet, -1 between nodes, -2 elsewhere."""
     n = len(links) - 1
     node, paths = np.full(n, -2), np.zeros(n, dtype=np.int64)
     for i in range(len(row_body)):

@@ -1,6 +1,6 @@
 """Exponential map of rotations and its tangent, as kernels without a singularity at zero.
 
-With K = [xi]x and t = |xi|: exp = 1 + a K + b K^2, dexp = 1 + b K + c K^2, dexp^-1 = 1 - K/2 + d K^2; where
+With K = [xi]x and t = |xi|: exp = 1 + a K + b K^2, dexp = 1 + b K + c K^2, dexp^-1 = 1 - K/2 + d K^2. Here
 a = sin t / t, b = (1 - cos t) / t^2, c = (t - sin t) / t^3, d = (1 - t/2 cot t/2) / t^2. Iserles,
 Munthe-Kaas, Norsett, Zanna, Acta Numerica 9:215 (2000), appendix B.
 """
@@ -73,7 +73,7 @@ def tangent(xi: Vector, x: Vector) -> Vector:
 
 @kernel
 def tangent_inverse(xi: Vector, x: Vector) -> Vector:
-    """dexp_xi^-1 x; the angle must lie below a full turn."""
+    """dexp_xi^-1 x. The angle must be below a full turn."""
     t2 = dot(xi, xi)
     t = np.sqrt(t2)
     if t < _SMALL:

@@ -8,7 +8,7 @@ from protochain.mechanics.multibody.algebra import kernel
 
 @kernel
 def cholesky(a: Floats, n: int) -> bool:
-    """Overwrite the lower triangle of a's first n rows by L with L L^T = a; False if a is not positive."""
+    """Overwrite the lower triangle of a's first n rows by L, L L^T = a. Return False if a is not positive."""
     for j in range(n):
         whole = a[j, j]
         for k in range(j):

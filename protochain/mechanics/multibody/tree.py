@@ -34,9 +34,9 @@ class HingeKind(IntEnum):
 _N_Q = {HingeKind.FIXED: 0, HingeKind.FREE: 7, HingeKind.BALL: 3, HingeKind.BALL_AXIS: 0}
 N_Q = {kind: _N_Q.get(kind, 1) for kind in HingeKind}
 N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in HingeKind}
-"""Numbers of coordinates and velocities of each kind. FREE: quaternion (w, x, y, z), position; (omega, u)."""
+"""Numbers of coordinates and velocities of each kind. FREE: quaternion (w, x, y, z), position, (omega, u)."""
 BALL_PLACEMENT: Floats = read_only(np.roll(np.eye(3), 1, axis=0))
-"""Axes y, z, x as columns: of each body of a ball in those of the one before."""
+"""Axes y, z, x as columns: axes of each body of a ball, in the axes of the previous one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +48,13 @@ class Tree(Value):
     slides by q, SCREW turns by q and slides by ``pitch[b]`` q. FREE turns by a quaternion and moves by a
     vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4). A ball is three
     bodies in one place: BALL, with a rotation vector of at most pi as coordinates, and two of BALL_AXIS,
-    without coordinates; the first two have no mass. Their rates are the angular velocity by the axes x, y and
+    without coordinates. The first two have no mass. Their rates are the angular velocity by the axes x, y and
     z of the third, relative to the parent of the first.
 
     Parameters
     ----------
     parent : (nb,) int
-        Parent of each body, ``-1`` for a root; ``parent[b] < b``.
+        Parent of each body, ``-1`` for a root. Requires ``parent[b] < b``.
     kind : (nb,) int
         Kind of the hinge between each body and its parent, a :class:`HingeKind`.
     offset : (nb, 3) float, nm
@@ -63,26 +63,26 @@ class Tree(Value):
         Rotation of the body's frame in the parent's frame at q = 0.
     mass, com : (nb,) float, amu, and (nb, 3) float, nm
         Mass, and centre of mass in the body's frame. A body may be without mass, as between the two hinges
-        of a universal joint, if what is outward of it resists its hinge.
+        of a universal joint, if the outward bodies resist its hinge.
     inertia : (nb, 3, 3) float, amu nm^2
         Inertia tensor about the centre of mass, along the body's axes.
     pitch : (nb,) float, nm/rad, optional
         Translation per radian of SCREW hinges.
     driven : (nb,) bool, optional
         Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
-        :func:`~protochain.mechanics.multibody.forward_dynamics` is told their accelerations. None by default.
+        :func:`~protochain.mechanics.multibody.forward_dynamics` needs their accelerations. None by default.
     armature : (nb,) float, amu nm^2 (amu for slides), optional
         Inertia of the rotor of a motor, added to the diagonal of M at every freedom of the hinge.
         It has no weight and no momentum. Zeros by default.
     nominal : (nb,) bool, optional
-        Bodies whose inertia is used as it is, though no distribution of mass has it, as those of dummy links
+        Bodies with an unphysical inertia that is used unchanged, as the dummy links
         in files of robots. None by default.
 
     Raises
     ------
     MechanicsError
         If a parent does not come before its child, an array has a wrong shape or unphysical values, a
-        hinge has no inertia, or what is driven is not a hinge of one freedom.
+        hinge has no inertia, or a driven body is not a hinge of one freedom.
     """
 
     parent: Integers
@@ -207,7 +207,7 @@ class Tree(Value):
     def locked_links(self) -> Integers:
         """(nb + 1, 3) int: :attr:`links` of the tree with its driven hinges fixed.
 
-        Read by sweeps that solve with M: so a hinge is locked there, at no cost where none is driven.
+        Sweeps that solve with M read it, so a hinge is locked at no cost for trees without driven hinges.
         """
         if self.driven is None:
             return self.links
@@ -223,7 +223,7 @@ class Tree(Value):
 
     @cached_property
     def size(self) -> float:
-        """Largest lever arm or radius of gyration of a body; 1 if all are points without lever arms.
+        """Largest lever arm or radius of gyration of a body, or 1 if all are points without lever arms.
 
         It makes tolerances independent of the unit of length.
         """
@@ -235,12 +235,12 @@ class Tree(Value):
 
     @cached_property
     def units(self) -> Floats:
-        """(n_v,) float: of each freedom, what a radian or a :attr:`size` is in it."""
+        """(n_v,) float: amount of each freedom for a radian or a :attr:`size`."""
         return self._units(self.v_start, 3)
 
     @cached_property
     def coordinate_units(self) -> Floats:
-        """(n_q,) float: as :attr:`units`, of each coordinate; those of a quaternion are pure numbers."""
+        """(n_q,) float: as :attr:`units`, of each coordinate. A quaternion has pure numbers."""
         return self._units(self.q_start, 4)
 
     def _units(self, starts: Integers, n_turning: int) -> Floats:
@@ -277,8 +277,8 @@ def rigid_bodies(point_body: Integers, point: Floats, mass: Floats, n: int) -> t
 
     Returns
     -------
-    (n,) float; (n, 3) float; (n, 3, 3) float
-        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`; zeros for bodies without points.
+    (n,) float, (n, 3) float, (n, 3, 3) float
+        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`, zeros for bodies without points.
     """
     total, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     np.add.at(total, point_body, mass)
@@ -300,7 +300,7 @@ def _squared_cross(c: Floats) -> Floats:
 
 
 def _refuse(bad: np.ndarray, why: str, values: Any = None, fault: Fault | None = None) -> None:
-    """Raise if any body is bad; ``why`` may have a place for the value of the first one."""
+    """Raise if any body is invalid. ``why`` may have a place for the value of the first one."""
     if np.any(bad):
         b = int(np.argwhere(bad)[0][0])
         raise BodyError(b, why if values is None else why.format(values[b]), fault)
@@ -326,7 +326,7 @@ def _check_topology(tree: Tree) -> None:
 
 
 def _driven(tree: Tree) -> NDArray[np.bool_] | None:
-    """Return what is driven, checked; nothing if no hinge is."""
+    """Return the checked mask of driven bodies, or None if no hinge is driven."""
     if tree.driven is None:
         return None
     n, driven = tree.n_bodies, np.asarray(tree.driven)

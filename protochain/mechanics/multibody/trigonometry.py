@@ -8,7 +8,7 @@ from protochain.mechanics.multibody.algebra import kernel
 _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 """Value of pi/2 in parts of 33 bits: products with whole numbers below 2^20 are exact (Cody, Waite, 1980)."""
 _LARGEST = 1e6
-"""Largest angle, rad, whose reduction loses no digits; beyond it the library's functions are used."""
+"""Largest angle, rad, whose reduction loses no digits. Beyond it the library's functions are used."""
 _SINE = (
     -1.66666666666666324348e-1, 8.33333333332248946124e-3, -1.98412698298579493134e-4,
     2.75573137070700676789e-6, -2.50507602534068634195e-8, 1.58969099521155010221e-10,
