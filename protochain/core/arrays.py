@@ -106,7 +106,7 @@ def dots(a: Floats, b: Floats) -> Floats:
 
 
 def means_by(of: Integers, values: Floats, n: int) -> Floats:
-    """Means (n,) of the values (m,) of n groups, NaN of empty ones. ``of`` (m,) has the group of each value."""
+    """Means (n,) of the values (m,) of n groups, NaN of empty ones. ``of`` (m,) are the values' groups."""
     counts = np.bincount(of, minlength=n)
     return np.asarray(np.bincount(of, values, n) / np.where(counts, counts, np.nan))
 

@@ -29,7 +29,7 @@ def both_ways(bonds: Integers) -> Integers:
 
 
 def bond_angles(bonds: Integers, n: int) -> Integers:
-    """(k, 3) int: atoms of every bond angle, its vertex in the middle, sorted by vertex, then by the others."""
+    """(k, 3) int: atoms of every bond angle, its vertex in the middle, sorted by vertex, then the others."""
     found = [
         (first, middle, last)
         for middle, around in enumerate(neighbours(bonds, n))

@@ -29,13 +29,13 @@ _OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
 
 @dataclass(frozen=True, eq=False)
 class Body(Named):
-    """A body; without a hinge it is free.
+    """A body. Without a hinge it is free.
 
     name: Name.
-    mass: Mass; none if a body further out has some that its hinge moves.
+    mass: Mass. Zero if a body further out has some that its hinge moves.
     com (3,): Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
     inertia: Tensor about the centre of mass, or its diagonal, or one moment for all axes.
-    position, rotation (3,): Where the origin of a free body starts, and its axes in the world, as columns.
+    position, rotation (3,): Origin of a free body at the start, and its axes in the world, as columns.
     velocity, spin (3,): Velocity of the origin of a free body, and its angular velocity, world axes.
     armature: Inertia that a free body has in addition in all of its six freedoms, without weight.
     """
@@ -76,11 +76,11 @@ class Hinge(Named):
     """A hinge, which joins a body to its parent.
 
     name: Name.
-    parent, child: Bodies; the parent may be "world". A body has one inward hinge.
+    parent, child: Bodies. The parent may be "world". A body has one inward hinge.
     kind: Kind of its motion.
     at, axis (3,): Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
-    rotation (3, 3): Axes of the child at q = 0, as columns, in those of the parent; by default the same.
-    q, qd: Coordinate and rate at the start; of a ball a rotation vector, and the child's angular velocity.
+    rotation (3, 3): Axes of the child at q = 0, as columns, in the axes of the parent. Equal by default.
+    q, qd: Coordinate and rate at the start. A ball has a rotation vector, and the child's angular velocity.
     pitch: Slide of a screw per radian.
     armature: Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
     """

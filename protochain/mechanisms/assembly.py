@@ -24,7 +24,7 @@ from protochain.mechanisms.loop_joints import DEPENDENT
 
 @dataclass(frozen=True, eq=False)
 class NamedLoad:
-    """A load, whose work is counted under its name; the hinges at which it is a motor's torque."""
+    """A load, whose work is counted under its name, and the hinges at which it is a motor's torque."""
 
     name: str
     load: Load
@@ -34,7 +34,7 @@ class NamedLoad:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """Bodies and all that acts on them, and the start; see :class:`Model`."""
+    """Bodies, the elements that act on them, and the start. See :class:`Model`."""
 
     bodies: Bodies
     q: Floats
@@ -89,17 +89,17 @@ class Assembly:
 
     @property
     def works(self) -> tuple[str, ...]:
-        """Names of what does work, in the order of ``Phase.work``."""
+        """Names of elements that do work, in the order of ``Phase.work``."""
         return (*(load.name for load in self.loads), *(("drives",) if self.drive is not None else ()))
 
     @property
     def taking(self) -> NDArray[np.bool_]:
-        """(k,) bool: which of the works are of dampers and friction, which can but take energy."""
+        """(k,) bool: which of the works are of dampers and friction, which can only dissipate energy."""
         kinds = [load.dissipates for load in self.loads]
         return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
 
     def start(self) -> Phase:
-        """Phase at the start; refused if the pose is singular, or what an element gives is no number."""
+        """Phase at the start. Refused if the pose is singular, or an element returns a non-finite value."""
         try:
             return self.system.at(self.q, self.qd)
         except BodyError as error:
@@ -116,7 +116,7 @@ class Assembly:
 
 Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
 """Time, q, qd, p, potential energy and work of a phase, and energy that events have given until then: a plain
-tuple, as to make a NamedTuple takes twice as long."""
+tuple, because a NamedTuple needs twice as long."""
 
 
 def _column(k: int, doc: str) -> "cached_property[Floats]":
@@ -128,7 +128,7 @@ def _column(k: int, doc: str) -> "cached_property[Floats]":
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Rows of a motion, as arrays that are made when they are first asked for; see :class:`Run`."""
+    """Rows of a motion, as arrays that are made at first use. See :class:`Run`."""
 
     model: Assembly
     rows: Sequence[Row]
@@ -155,7 +155,7 @@ class Motion:
 
     @property
     def dissipation(self) -> Floats:
-        """(n,) float: energy that dampers and friction have taken."""
+        """(n,) float: energy that dampers and friction have dissipated."""
         return np.asarray(0.0 - np.sum(self.work[:, self.model.taking], axis=1))
 
     @property
@@ -165,7 +165,7 @@ class Motion:
 
     @cached_property
     def _momenta(self) -> tuple[Floats, Floats]:
-        """The two of them, and the sums of the sizes of those of the bodies, (n, 2)."""
+        """Momentum and spin, and the sums of their sizes over the bodies, (n, 2)."""
         tree, n = self.model.tree, len(self.time)
         whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
         for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):

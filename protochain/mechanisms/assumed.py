@@ -45,7 +45,7 @@ def assumed_modes(
         Numbers of shapes of each kind, which come in this order: bending along z (about y), bending along y
         (about z), and torsion.
     sections : int, optional
-        Number of lumps, at the points of Gauss and Legendre with their weights as masses; by default enough
+        Number of lumps, at the points of Gauss and Legendre with their weights as masses. By default enough
         for the products of the shapes. One without mass at the tip follows them.
 
     Returns
@@ -56,7 +56,7 @@ def assumed_modes(
     Raises
     ------
     MechanicsError
-        If a shape has no stiffness, or a shape of torsion no inertia; if zones are rigid, or masses lumped.
+        If a shape has no stiffness, or a torsion shape no inertia, or if zones are rigid, or masses lumped.
     """
     if of.rigid or of.lumped:
         raise MechanicsError("shapes are of beams without rigid zones and lumped masses; take segments")

@@ -24,7 +24,7 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
     Parameters
     ----------
     model : Model
-        The mechanism as built; of the bodies that bend, mass and inertia are those of their shapes.
+        The mechanism as built. Bodies that bend have mass and inertia of their shapes.
     shapes : mapping of str to Shapes
         Shapes of bodies by name, in the bodies' own axes, as of :func:`assumed_modes`. A body whose hinge is
         on one of these rides on the section that is nearest to the hinge.
@@ -32,15 +32,15 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
     Returns
     -------
     BendingSystem, Phase
-        Equations of motion, for ``step`` of Runge-Kutta, Dormand-Prince and Rosenbrock; and the start, with
+        Equations of motion, for ``step`` of Runge-Kutta, Dormand-Prince and Rosenbrock, and the start, with
         all bodies straight. Loads may be added by ``dataclasses.replace(system, loads=...)``. For Hamilton's
         equations, ``flexible.canonical_rates(system.flexible, at.q, at.p, at.torque)``.
 
     Raises
     ------
     MechanicsError
-        If there is no such body; if the mechanism has loops, or loads, dampers, events and contacts that
-        lose energy, which see rigid bodies; while it moves, if an element acts on a body that bends: let it
+        If the body is unknown. If the mechanism has loops, or loads, dampers, events and contacts that
+        lose energy, which see rigid bodies. While it moves, if an element acts on a body that bends: let it
         act on a rigid one, fixed to a section.
     """
     bodies, tree = model.bodies, model.tree

@@ -1,4 +1,4 @@
-"""Bodies by name, and what a mechanism does at one moment, as callables see it."""
+"""Bodies by name, and the state of a mechanism at one moment, as callables see it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ WORLD = "world"
 class Bodies:
     """Bodies of a tree by name, each with axes of its own.
 
-    A body's axes are those in which its points, centre of mass and inertia were given; the frame of the
+    A body's points, centre of mass and inertia are along its own axes. The frame of the
     tree has the same origin, but its z axis along the hinge.
 
     Parameters
@@ -68,7 +68,7 @@ class Bodies:
 
     @cached_property
     def numbers(self) -> dict[str, int]:
-        """Name of each body -> its number; -1 is the world."""
+        """Number of each body by its name. -1 is the world."""
         return {WORLD: -1} | {name: number for number, name in enumerate(self.names)}
 
     def number(self, name: str, asking: str = "") -> int:
@@ -77,7 +77,7 @@ class Bodies:
         Raises
         ------
         MechanicsError
-            If there is none of this name; ``asking`` says who asks.
+            If the name is unknown. ``asking`` names the caller.
         """
         return _of(self.numbers, name, "body", asking)
 
@@ -97,7 +97,7 @@ class Bodies:
         Raises
         ------
         MechanicsError
-            If there is no such hinge, or it is fixed or a ball.
+            If the hinge is unknown, or it is fixed or a ball.
         """
         b = self.hinge(hinge, asking)
         if self.tree.v_start[b] == self.tree.v_start[b + 1]:
@@ -107,7 +107,7 @@ class Bodies:
         return int(self.tree.q_start[b]), int(self.tree.v_start[b])
 
     def ball(self, hinge: str) -> tuple[slice, slice] | None:
-        """Places of a ball's rotation vector in q and of its rates in qd; None of other hinges."""
+        """Places of a ball's rotation vector in q and of its rates in qd, None for other hinges."""
         b = self.hinge(hinge)
         if self.tree.kind[b] != HingeKind.BALL_AXIS:
             return None
@@ -115,7 +115,7 @@ class Bodies:
         return slice(q, q + 3), slice(v, v + 3)
 
     def unit(self, hinge: str) -> float:
-        """What one of a hinge's coordinate outside is inside: pi / 180 of an angle in degrees, or 1."""
+        """Internal value of an outside unit of a hinge's coordinate: pi / 180 of angles in degrees, or 1."""
         turns = self.tree.twist[self.hinge(hinge), 0] != 0.0
         return np.pi / 180.0 if self.degrees and turns else 1.0
 
@@ -126,12 +126,12 @@ class Bodies:
         return np.concatenate([np.cross(arm, force), force], axis=1)
 
     def inside(self, b: int, point: ArrayLike) -> Floats:
-        """(3,) float: a point or direction in a body's own axes -> along those of the tree's frame."""
+        """(3,) float: a point or direction from a body's own axes to the axes of the tree's frame."""
         vector = np.asarray(point, dtype=float)
         return vector if b < 0 else np.asarray(self.turn[b].T @ vector)
 
     def axes(self, b: int) -> Floats:
-        """(3, 3) float: a body's own axes, as columns, along those of the tree's frame."""
+        """(3, 3) float: a body's own axes, as columns, along the axes of the tree's frame."""
         return np.eye(3) if b < 0 else np.asarray(self.turn[b].T)
 
 
@@ -188,7 +188,7 @@ class State:
         return np.eye(3) if b < 0 else np.asarray(self.frames.rotation[b] @ self.bodies.turn[b].T)
 
     def point(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
-        """(3,) float: where a point of a body is in the world."""
+        """(3,) float: a point of a body, in the world."""
         b, arm = self.bodies.number(body), self._arm(body, at)
         return arm if b < 0 else np.asarray(self.frames.origin[b] + arm)
 
@@ -205,11 +205,11 @@ class State:
         return np.zeros(3) if b < 0 else self.twists[b, :3].copy()
 
     def angle(self, hinge: str) -> Any:
-        """Coordinate of a hinge: an angle, or the length of a slide; of a ball a rotation vector (3,)."""
+        """Coordinate of a hinge: an angle, or the length of a slide, or a ball's rotation vector (3,)."""
         return self._of_hinge(hinge, self.q, 0)
 
     def rate(self, hinge: str) -> Any:
-        """Rate of a hinge's coordinate; of a ball the relative angular velocity (3,), axes of the child."""
+        """Rate of a hinge's coordinate. A ball has the relative angular velocity (3,), axes of the child."""
         return self._of_hinge(hinge, self.qd, 1)
 
     def jacobian(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
@@ -228,7 +228,7 @@ class State:
         return multibody.pull_back(self.bodies.tree, self.frames, self.bodies.weights(self.frames))
 
     def _of_hinge(self, hinge: str, values: Floats, k: int) -> Any:
-        """Entry of q (k = 0) or qd (k = 1) of a hinge, in its unit outside; of a ball all three."""
+        """Entry of q (k = 0) or qd (k = 1) of a hinge, in its unit outside. All three of a ball."""
         ball = self.bodies.ball(hinge)
         value = values[(ball or self.bodies.freedom(hinge))[k]] / self.bodies.unit(hinge)
         return value if ball else float(value)

@@ -22,7 +22,7 @@ HALF_A_TURN = 3.1
 
 @dataclass(frozen=True, eq=False)
 class Bushing(Between):
-    """Elastic joint of two bodies, at rest where the points meet, turned as built.
+    """Elastic joint of two bodies, at rest if the points meet, turned as built.
 
     Its energy is (theta K_r theta + d K_t d) / 2 in the axes of the second body: theta is the rotation vector
     of the first body relative to the second, away from rest, and d the place of the first body's point from
@@ -38,12 +38,12 @@ class Bushing(Between):
     stiffness, damping : (6,) array_like
         Of three rotations, by the rotation vector of a in b, and of three translations, in b's axes.
     rotation : (3, 3) array_like, optional
-        Axes of b, as columns, in those of a, where the bushing is at rest; by default as built.
+        Axes of b, as columns, in the axes of a, at which the bushing is at rest. By default as built.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or a constant negative.
+        If the name is already in use, or a constant is negative.
     """
 
     called: ClassVar[str] = "bushing"
@@ -111,7 +111,7 @@ class Bushings(Rows):
 
 @kernel
 def axes_of(rotation: Floats, b: int, axes: algebra.Matrix) -> algebra.Matrix:
-    """Axes fixed in a body, in the world; as rows of the result, so that ``turned`` resolves along them."""
+    """Axes fixed in a body, in the world, as rows of the result, so that ``turned`` resolves along them."""
     turn = algebra.matrix(rotation, b) if b >= 0 else WORLD[0]
     x = algebra.turned(turn, (axes[0], axes[3], axes[6]))
     y = algebra.turned(turn, (axes[1], axes[4], axes[7]))
@@ -142,7 +142,7 @@ def rotation_vector(r: algebra.Matrix) -> Vector:
 
 @kernel
 def _turned_away(rotation: Floats, a: int, axes_a: algebra.Matrix, along: algebra.Matrix) -> Vector:
-    """Rotation vector of a's axes in those of b, whose rows are ``along``."""
+    """Rotation vector of a's axes in the axes of b, whose rows are ``along``."""
     rows = axes_of(rotation, a, axes_a)
     x = algebra.turned(along, (rows[0], rows[1], rows[2]))
     y = algebra.turned(along, (rows[3], rows[4], rows[5]))
@@ -155,7 +155,7 @@ def _bend(
     rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes_a: Floats, axes_b: Floats,
     stiffness: Floats, wrenches: Floats,
 ) -> float:  # fmt: skip
-    """Add the wrenches; return the energy, or minus the number, from 1, of one at half a turn."""
+    """Add the wrenches. Return the energy, or minus the number, from 1, of one at half a turn."""
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
@@ -210,7 +210,7 @@ def _spin_of(twists: Floats, b: int) -> Vector:
 def _apply(
     moment: Vector, force: Vector, a: int, b: int, arm_a: Vector, arm_b: Vector, wrenches: Floats
 ) -> None:
-    """Add a wrench on a, and its reaction on b, where the force acts at one place of both."""
+    """Add a wrench on a, and its reaction on b. The force acts at one place of both."""
     push(force, arm_a, a, wrenches)
     push(scale(-1.0, force), arm_b, b, wrenches)
     if a >= 0:

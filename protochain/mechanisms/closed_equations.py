@@ -19,7 +19,7 @@ ITERATIONS = 20
 
 @dataclass(frozen=True, eq=False)
 class ClosedEquations(Equations):
-    """Forest of rigid bodies with loops, whose joints hold accelerations, velocities and places.
+    """Forest of rigid bodies with loops, whose joints constrain accelerations, velocities and places.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class ClosedEquations(Equations):
 
     Notes
     -----
-    Accelerations are those of the open tree, and what the joints' least forces add (Gauss's principle). The
+    Accelerations sum up the open tree's and the effect of the joints' least forces (Gauss's principle). The
     projections after a step are smallest by the kinetic energy, so that neither lets the loops drift.
     """
 
@@ -62,12 +62,12 @@ class ClosedEquations(Equations):
         raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
 
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
-        """Accelerations (n_v,) with the loops kept, and the torques (n_v,) of their joints."""
+        """Accelerations (n_v,) with the loops closed, and the torques (n_v,) of their joints."""
         loops = factor_loops(factors, self.joints)
         impulses = loops.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
         torques = pull_back(self.tree, factors.frames, loops.wrenches(impulses))
         return qdd + solve(factors, torques), torques
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities, projected on the loops; driven hinges keep theirs."""
+        """Return the phase with other velocities, projected on the loops, except at driven hinges."""
         return self.at(at.q, qd, at.time, at.work)

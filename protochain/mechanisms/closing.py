@@ -1,4 +1,4 @@
-"""Joints that close loops of bodies: what each leaves free, and the coordinates that close it."""
+"""Joints that close loops of bodies, their freedoms, and the coordinates that close the loops."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ _SLIDES = {
     "spherical": (X, Y, Z), "revolute": (X, Y, Z), "universal": (X, Y, Z), "rigid": (X, Y, Z),
     "cylindrical": (X, Y), "prismatic": (X, Y), "planar": (Z,),
 }  # fmt: skip
-"""Kind -> directions, in axes of which z is that of the joint, in which the points stay together."""
+"""Kind -> directions in which the points stay together, in axes whose z is the axis of the joint."""
 _ALIGNED = ((X, Z), (Y, Z))
 _LOCKED = ((X, Y), (Y, Z), (Z, X))
 _TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
@@ -35,11 +35,11 @@ _ITERATIONS = 100
 _LONGEST = 0.3
 """Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
 _TURN = 0.5
-"""rad. Largest step of a rotation on the way to where a loop closes."""
+"""rad. Largest step of a rotation on the way to a closed loop."""
 _ASIDE = 0.05
 """How far one looks for another rank, in radians and sizes of the tree."""
 _CONTRADICTED = 1e-6
-"""Rate of an open loop, of the largest given, that is more than rounding of what was given."""
+"""Rate of an open loop, relative to the largest given rate, that is more than its rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +51,20 @@ class Closing(Between):
     name : str
         Name.
     a, b : tuple of str and (3,) array_like
-        Body, or "world", and a point of it; both points meet.
+        Body, or "world", and a point of it. Both points meet.
     kind : {"revolute", "spherical", "universal", "cylindrical", "prismatic", "planar", "rigid"}
-        What it leaves free. Joints that depend on others, as revolute ones in a plane, are welcome.
+        Freedoms of the joint. Dependent joints, as revolute ones in a plane, are welcome.
     axis : (3,) array_like
-        Its axis in the axes of a; of ``planar`` the normal of the plane, of ``universal`` the arm of a.
+        Its axis in the axes of a. The normal of the plane of ``planar``, the arm of a of ``universal``.
     axis_b : (3,) array_like, optional
         Of ``universal`` only: the arm of b, at right angles to the axis, in the axes of b.
     rotation : (3, 3) array_like, optional
-        Of ``rigid`` only: axes of b, as columns, in those of a; by default as built.
+        Of ``rigid`` only: axes of b, as columns, in the axes of a. By default as built.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or an argument is none.
+        If the name is already in use, or an argument is invalid.
     """
 
     called: ClassVar[str] = "closing"
@@ -162,7 +162,7 @@ def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Cl
 
 
 def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray) -> int | None:
-    """Rank where the loops are closed, if it is larger where they are not, as of Bennett's linkage."""
+    """Rank of the closed loops, if it is larger when they are open, as for Bennett's linkage."""
     if not len(undriven):
         return None
 
@@ -183,7 +183,7 @@ def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.n
 
 
 def _matrix(bodies: Bodies, joints: LoopJoints, q: Floats, moves: np.ndarray) -> Floats:
-    """(m, moves): rates of the errors by those of these freedoms, in radians and sizes of the tree."""
+    """(m, moves): rates of the errors by the rates of these freedoms, in radians and sizes of the tree."""
     return joints.matrix(bodies.tree, multibody.pose(bodies.tree, q))[:, moves]
 
 
@@ -204,7 +204,7 @@ def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
 
 
 def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
-    """Coordinates near q that close the loops, by hinges that are not driven; None beyond a dead point."""
+    """Coordinates near q that close the loops by hinges without drives. None beyond a dead point."""
     return _assembled(replace(bodies, q=q), joints, bodies.tree.undriven_v)[0]
 
 
@@ -224,7 +224,7 @@ def _given(bodies: Bodies) -> np.ndarray:
 def _assembled(
     bodies: Bodies, joints: LoopJoints, moves: np.ndarray
 ) -> tuple[Floats | None, tuple[int, float]]:
-    """Coordinates that close the loops, if there are, by these freedoms; the worst equation, its error."""
+    """Coordinates that close the loops by these freedoms, or None. The worst equation, its error."""
     tree, q = bodies.tree, bodies.q
     units = np.where(joints.turns, 1.0, tree.size)
     for _ in range(_ITERATIONS):
@@ -243,7 +243,7 @@ def _assembled(
 def _rates(
     bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray, labels: Sequence[str], of: np.ndarray
 ) -> Floats:
-    """Rates (n_v,) that keep the loops closed: those that are given stay, the others follow, the least."""
+    """Rates (n_v,) that leave the loops closed: given rates stay, the others follow with the least norm."""
     tree, qd = bodies.tree, bodies.qd.copy()
     g = _matrix(bodies, joints, q, np.arange(tree.n_v))
     rates = qd / tree.units

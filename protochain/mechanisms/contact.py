@@ -48,7 +48,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction of asperities: a spring and a damper from the point where a contact began, which slips.
+    """Friction of asperities: a spring and a damper from the point at which a contact began, which slips.
 
     The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above
     ``coefficient`` times the normal force: there the anchor is dragged along.
@@ -79,7 +79,7 @@ def _check_numbers(of: Law | Friction, label: str) -> None:
 
 
 def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
-    """Law whose loss is that of a restitution near one, a = 3 (1 - e^2) / (4 v).
+    """Law with the loss of a restitution near one, a = 3 (1 - e^2) / (4 v).
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, expo
     restitution : float
         Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
     speed : float
-        Speed of approach v for which it holds; slower impacts lose less.
+        Speed of approach v for which it is exact. Slower impacts lose less.
     exponent : float
         Exponent of :class:`Law`.
 
@@ -111,7 +111,7 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
     restitution : float
         Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
     speed : float
-        Speed of approach v for which it holds; slower impacts lose less.
+        Speed of approach v for which it is exact. Slower impacts lose less.
     exponent : float
         Exponent of :class:`Law`.
 
@@ -146,7 +146,7 @@ def real_restitution(loss: float) -> float:
     -------
     float
         Root r of c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
-        to that of K d^n / m over the depth, in compression and in restitution.
+        to the integral of K d^n / m over the depth, in compression and in restitution.
 
     Raises
     ------
@@ -178,11 +178,11 @@ class Contact(Named):
     balls : sequence of Ball
         Balls, or points, fixed in bodies. Those of one body do not touch each other.
     other : Plane, Surface, sequence of Ball or None
-        What they touch; None is each other.
+        Obstacle of the balls. None for each other.
     law : Law
         Normal force.
     friction : Friction, optional
-        Tangential force; none by default.
+        Tangential force, none by default.
     """
 
     called: ClassVar[str] = "contact"

@@ -1,4 +1,4 @@
-"""Forces where bodies press on each other, and the anchors of their friction from step to step."""
+"""Forces between bodies that press on each other, and the anchors of their friction from step to step."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where springs of friction begin: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
+    """Anchors of friction springs: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
 
     pair: Integers
     arms: Floats
@@ -75,7 +75,7 @@ class ContactForces:
         return Applied(wrenches)
 
     def stretches(self, frames: Frames, touches: Touches) -> Floats:
-        """(k, 3) float: springs of friction, zero where none has been anchored."""
+        """(k, 3) float: springs of friction, zero for pairs without an anchor."""
         apart = np.zeros((len(touches.pair), 3))
         if len(self.anchors.pair):
             arms, ends = self.anchors.arms, touches.ends
@@ -86,7 +86,7 @@ class ContactForces:
         return apart
 
     def begin(self, start: Phase) -> None:
-        """Begin a run; one that goes on where the last ended has its anchors."""
+        """Begin a run. If it continues the last run, it has its anchors."""
         if start is self._ended[0]:
             self.anchors = self._ended[1]
 
@@ -100,11 +100,11 @@ class ContactForces:
         return self.anchors
 
     def recall(self, kept: Anchors | None) -> None:
-        """Let friction begin where it did at a row."""
+        """Restore the anchors of friction of a row."""
         self.anchors = kept or NO_ANCHORS
 
     def settle(self, at: Phase) -> None:
-        """End a step: drag anchors along, and set those of new touches."""
+        """End a step: drag anchors along, and place anchors of new touches."""
         frames = at.factors.frames
         touches = self.touches(frames)
         self.finder.refuse_depth(touches)
@@ -144,7 +144,7 @@ def _press(
     origin: Floats, ends: Integers, place: Floats, normal: Floats, depth: Floats, constants: Floats,
     wrenches: Floats,
 ) -> float:  # fmt: skip
-    """Add the elastic forces; return their energy."""
+    """Add the elastic forces. Return their energy."""
     energy, exponent = 0.0, constants[EXPONENT]
     for k in range(len(depth)):
         size, at = constants[STIFFNESS] * depth[k] ** exponent, algebra.vector(place, k)
@@ -186,7 +186,7 @@ def _drag(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats,
     depth: Floats, stretch: Floats, constants: Floats, arms: Floats,
 ) -> None:  # fmt: skip
-    """Anchor springs at the present places, lest a ball that rolls seem to slip, where friction allows it."""
+    """Place anchors at the present places if friction allows it, so that a rolling ball does not slip."""
     # An anchor is dragged to where the spring alone has the greatest friction.
     for k in range(len(depth)):
         a, b, at, spring = ends[k, 0], ends[k, 1], algebra.vector(place, k), algebra.vector(stretch, k)

@@ -37,7 +37,7 @@ class Rod:
     a, b : (3,) float
         Ends, in the body's axes.
     radius : float, optional
-        Radius; by default a hundredth of the picture.
+        Radius. By default a hundredth of the picture.
     """
 
     body: str
@@ -122,7 +122,7 @@ class Drawing(NamedTuple):
         return size if size > 0.0 else 1.0
 
     def number(self, body: str) -> int:
-        """Number of a body; -1 for the world."""
+        """Number of a body, -1 for the world."""
         return -1 if body == WORLD else self.names.index(body)
 
     def place(self, k: int, body: int, points: Floats) -> Floats:
@@ -178,7 +178,7 @@ def _outline(shape: Shape) -> tuple[Floats, float]:
 
 
 def corners(block: Block) -> Floats:
-    """(8, 3) float: corners of a block; of bits x, y, z."""
+    """(8, 3) float: corners of a block, by bits x, y, z."""
     signs = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)]) - 0.5
     return np.asarray(block.at, dtype=float) + signs * np.asarray(block.edges, dtype=float)
 
@@ -196,7 +196,7 @@ def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
 
 
 def _derived(model: Assembly) -> Iterator[Shape]:
-    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls."""
+    """Default shapes: rods to joints and elements, balls of contacts, else blocks or balls."""
     # A block or ball has the body's moments of inertia.
     tree, bodies = model.tree, model.bodies
     joined = _joined(model)

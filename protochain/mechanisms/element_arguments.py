@@ -19,7 +19,7 @@ _KINDS = {
 
 
 def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
-    """Return finite numbers of a shape; ``label`` begins the message, as ``spring "s": its stiffness``."""
+    """Return finite numbers of a shape. ``label`` begins the message, as ``spring "s": its stiffness``."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -30,7 +30,7 @@ def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
 
 
 def answer(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function of the user's returns; its exceptions name the element."""
+    """Result of a function of the user. Its exceptions name the element."""
     try:
         return function(*arguments)
     except ProtochainError:
@@ -45,7 +45,7 @@ def number(value: Any, label: str) -> float:
 
 
 def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
-    """Return finite numbers, none of them below zero; one number stands for all."""
+    """Return finite numbers, none of them below zero. One number stands for all."""
     array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, label)
     if np.any(array < 0.0):
         raise MechanicsError(

@@ -40,28 +40,28 @@ class Damping(Protocol):
 
 
 class Memory(Protocol):
-    """What an element keeps from step to step, as anchors of friction; it does not change within one."""
+    """Memory of an element from step to step, as anchors of friction. It is constant within a step."""
 
     def begin(self, start: Phase) -> None:
         """Begin a run."""
 
     def settle(self, at: Phase) -> None:
-        """End a step; the start of a run is one, too."""
+        """End a step. The start of a run is one, too."""
 
     def end(self, at: Phase | None) -> None:
-        """End a run at a phase from which another may go on; None if it has failed."""
+        """End a run at a phase from which another may go on. The phase is None after a failure."""
 
     @property
     def kept(self) -> Any:
         """What forces depend on now, as a frozen value that goes into the rows of a run."""
 
     def recall(self, kept: Any) -> None:
-        """Let forces be those of a row again; None, those without a past."""
+        """Restore the forces of a row. None restores forces without a past."""
 
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """What one element does.
+    """Forces and loads of one element.
 
     Parameters
     ----------
@@ -72,13 +72,13 @@ class Acting:
     dissipates : bool
         Whether the work of the load is dissipation.
     inside : bool
-        Whether all of it acts between bodies of the mechanism, so that it keeps their momentum.
+        Whether all of it acts between bodies of the mechanism, so that it conserves their momentum.
     memory : Memory, optional
-        What it keeps from step to step.
+        Its memory from step to step.
     damping : Damping, optional
         Part that is one load with the damping of all other elements.
     friction : Rubbing, optional
-        Friction of a hinge; one load with that of all others.
+        Friction of a hinge, combined with all other friction into one load.
     hinges : tuple of str
         Hinges of a motor, whose torque and power :attr:`Run.motion` shows.
     """
@@ -121,7 +121,7 @@ class Named:
         return f'{self.called} "{self.name}"'
 
     def fix(self, **values: Any) -> None:
-        """Set fields to what they are after a check."""
+        """Set fields to their checked values."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -151,19 +151,19 @@ class Between(Named):
 
 @dataclass(frozen=True, eq=False)
 class CustomForce(Named):
-    """Forces of one's own, as those of contacts are.
+    """User-defined forces, as the forces of contacts are.
 
     Parameters
     ----------
     name : str
         Name.
     element : Element or Load
-        What ``bind`` makes forces of, with the bodies of the model; or a load as it is.
+        Object whose ``bind`` makes forces, with the bodies of the model, or a load as it is.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or the element has no ``bind``.
+        If the name is already in use, or the element has no ``bind``.
     """
 
     called: ClassVar[str] = "force"
@@ -177,13 +177,13 @@ class CustomForce(Named):
             )
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return what its element does."""
+        """Return the bound forces of the element."""
         return Acting(load=self.element) if isinstance(self.element, Load) else self.element.bind(bodies)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Elements of one kind as rows of arrays, of which one call of a kernel takes all."""
+    """Elements of one kind as rows of arrays, computed by one call of a kernel."""
 
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> Self:
@@ -193,7 +193,7 @@ class Rows:
 
 
 def joined(parts: Iterable[Any]) -> list[Any]:
-    """Return parts in order, those that are rows of one class as one, where its first is."""
+    """Return parts in order. Rows of one class become one part, at the place of the first."""
     kinds: dict[Any, list[Any]] = {}
     for part in parts:
         kinds.setdefault(type(part) if isinstance(part, Rows) else id(part), []).append(part)
@@ -222,7 +222,7 @@ class Sum:
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """Weight of all bodies; its energy is zero at the world's origin."""
+    """Weight of all bodies. Its energy is zero at the world's origin."""
 
     tree: Tree  # Rigid bodies.
     acceleration: Floats  # (3,): Acceleration of free fall.
@@ -255,7 +255,7 @@ def damping(tree: Tree, parts: Sequence[Damping]) -> Dampers:
 
 @kernel
 def weigh(bodies: Floats, rotation: Floats, origin: Floats, gravity: Floats, wrenches: Floats) -> float:
-    """Add the weights; return their energy."""
+    """Add the weights. Return their energy."""
     energy, g = 0.0, algebra.vector_at(gravity, 0)
     for b in range(len(bodies)):
         turn, mass = algebra.matrix(rotation, b), bodies[b, MASS]

@@ -45,12 +45,12 @@ class Event(Named):
     jump : callable
         :class:`State` -> velocities (n_v,) from which the motion goes on, or None if it goes on as it was.
     passes : bool
-        Whether the motion goes on below zero, as past a mark; otherwise the value must rise again.
+        Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or one is no function.
+        If the name is already in use, or a callable is not a function.
     """
 
     called: ClassVar[str] = "event"
@@ -65,7 +65,7 @@ class Event(Named):
                 raise MechanicsError(f"{self.label}: its {what} must be a function of the state")
 
     def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
-        """Return it for ``march``; when it happens, it is added to the list."""
+        """Return it for ``march``, which adds it to the list when it happens."""
 
         def value(at: Phase) -> float:
             number = float(answer(f"{self.label}: its value", self.value, state_of(at)))

@@ -1,7 +1,7 @@
 """Steps of explicit methods in one kernel, for mechanisms of weights, springs, dampers and joints alone.
 
 A small mechanism's step is some microseconds of arithmetic, but dozens of calls in Python. Those are for what
-acts by a function of the user's, remembers or is driven; and for steps that fail, whose refusals
+act by a function of the user's, remember or are driven, and for failing steps, whose refusals
 they word.
 """
 
@@ -39,7 +39,7 @@ _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 
 @dataclass(frozen=True, eq=False)
 class Acts:
-    """What acts, as a kernel takes it."""
+    """Elements, as arguments of a kernel."""
 
     # Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms and
     # constants of :class:`Torsions`.
@@ -48,7 +48,7 @@ class Acts:
 
     @classmethod
     def of(cls, parts: Sequence[Conservative], dampers: Sequence[Damping]) -> Self | None:
-        """Of elements; None if one is of another kind."""
+        """Of elements. None if one is of another kind."""
         weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
         rest = [part for part in parts if not isinstance(part, Gravity)]
         if not all(isinstance(part, Springs | Torsions) for part in (*rest, *dampers)):
@@ -69,13 +69,13 @@ def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InOneKernel(Equations):
-    """Equations whose explicit steps are one call; all else is as of those it is mixed with."""
+    """Equations whose explicit steps are one call. The rest is inherited from the other base."""
 
     acts: Acts = field(kw_only=True)
 
     @cached_property
     def _arrays(self) -> tuple[Any, ...]:
-        """What is the same in every step."""
+        """Arguments that are the same in every step."""
         tree, joints = self.tree, getattr(self, "joints", _NO_JOINTS)
         return (
             (tree.links, tree.bodies, tree.size), self.acts.forces, self.acts.dampers,
@@ -95,7 +95,7 @@ class InOneKernel(Equations):
     def march(
         self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, every: int
     ) -> tuple[list[Any], Phase, int]:
-        """Take steps in one call, in substeps that keep a tolerance, if the method has one."""
+        """March in one call, in substeps within a tolerance, if the method has one."""
         # -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many steps were
         # possible.
         if steps < 1 or not len(at.q):
@@ -139,7 +139,7 @@ def _march(
     h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats, work: float,
     time: float, steps: int, every: int, tolerance: float, order: int, units: Floats,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Steps that were possible, the last phase with work and time, and the rows; see ``march``."""
+    """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
     n, total, now, taken = steps // every, work, time, 0
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
@@ -252,7 +252,7 @@ def _damp(
     tree: tuple[Any, ...], dampers: tuple[Any, ...], frames: tuple[Floats, Floats], qd: Floats,
     twists: Floats, loads: Floats, damped: Floats, torques: Floats,
 ) -> float:  # fmt: skip
-    """Write wrenches and torques of dampers, and both as torques (n_v,), ``damped``; return their power."""
+    """Write wrenches and torques of dampers, and both as torques (n_v,), ``damped``. Return their power."""
     (links, bodies, _), (rotation, origin) = tree, frames
     ends, points, springs, _, freedoms, torsions = dampers
     kinematics.outward_twists(links, bodies, rotation, origin, qd, twists)
@@ -270,7 +270,7 @@ def _put_stage(
     h: float, weights: Floats, i: int, tree: tuple[Any, ...], slopes: Floats, rates: Floats, start: Floats,
     speed: Floats, x: Floats, q: Floats, qd: Floats,
 ) -> None:  # fmt: skip
-    """Write coordinates and velocities of a stage, of the rates before it; and its displacement's rate."""
+    """Write coordinates and velocities of a stage by the previous rates, and its displacement's rate."""
     x[:] = 0.0
     qd[:] = speed
     for j in range(i):
@@ -289,7 +289,7 @@ def _act(
     tree: tuple[Any, ...], acts: tuple[Any, ...], frames: tuple[Floats, Floats], q: Floats, wrenches: Floats,
     torques: Floats,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Write wrenches (nb, 6) and torques (n_v,); whether every force has a direction, and the energy."""
+    """Write wrenches (nb, 6) and torques (n_v,). Return whether all forces have directions, and energy."""
     gravity, ends, points, springs, coordinates, freedoms, torsions = acts
     rotation, origin = frames
     wrenches[:], torques[:] = 0.0, 0.0
@@ -303,7 +303,7 @@ def _factors_at(
     inside: bool, tree: tuple[Any, ...], qd: Floats, frames: tuple[Floats, Floats], factors: tuple[Any, ...],
     wrenches: Floats, loads: Floats, x: Floats,
 ) -> bool:  # fmt: skip
-    """Write factors, and inside a step what accelerates; whether they exist."""
+    """Write factors, and within a step the accelerating torques. Return whether the factors exist."""
     (links, bodies, _), (rotation, origin), (packed, gain, pivot, root) = tree, frames, factors
     articulated.put_rigid(rotation, bodies, packed)
     loads[:] = 0.0

@@ -25,27 +25,27 @@ _SAME = 1e-12
 class HingeFriction(Named):
     """Friction in a hinge, whose work is dissipation: -(T + mu r N) tanh(qd / v) - c qd.
 
-    N is the force across the axis that the hinge transmits; its moments across the axis press on nothing.
-    Where a hinge would stick, it creeps, at less than the speed v.
+    N is the force across the axis that the hinge transmits. Its moments across the axis press on nothing.
+    A hinge that would stick creeps, at less than the speed v.
 
     Parameters
     ----------
     name, hinge : str
-        Name, and that of the hinge.
+        Name of the friction, and name of the hinge.
     torque : float
-        Constant part T of Coulomb's friction; a force at a slide.
+        Constant part T of Coulomb's friction, a force at a slide.
     coefficient, radius : float
-        Coefficient mu, and radius r of the pin; at a slide without radius.
+        Coefficient mu, and radius r of the pin. A slide has no radius.
     damping : float
         Torque by rate c, of viscous friction.
     speed : float
-        Rate v within which Coulomb's friction changes its sign: far below those of the motion, and far above
-        what a step resolves.
+        Rate v within which Coulomb's friction changes its sign: far below the motion's rates, and far above
+        the resolution of a step.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, it does nothing, or a constant is negative.
+        If the name is already in use, it does nothing, or a constant is negative.
     """
 
     called: ClassVar[str] = "friction"
@@ -97,7 +97,7 @@ class Rubbing(NamedTuple):
 
 
 def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
-    """Return the friction of all hinges as one load, in what a mechanism is without it."""
+    """Return the friction of all hinges as one load, for a mechanism without it."""
     # Forces that hinges transmit change linearly with the torques of friction, which change with these: a
     # fixed point of as many numbers as there are hinges whose friction depends on forces.
     pressed = [hinge for hinge in hinges if hinge.arm]

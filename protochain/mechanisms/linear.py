@@ -22,13 +22,13 @@ from protochain.mechanisms.model import Model
 
 _NUDGE = 1e-5
 """Displacement for the derivatives by central differences, in radians and sizes of the tree: the cube root of
-rounding, where both errors of a derivative are about 1e-10."""
+rounding. There both errors of a derivative are about 1e-10."""
 _NOTHING = 1e-13
-"""Square of a frequency, by that of the highest, which is rounding of the eigenvalues of K by M."""
+"""Square of a frequency, relative to the highest one, that is rounding of the eigenvalues of K by M."""
 _RIGID = 1e-9
-"""Square of a frequency, by that of the lowest, which is rounding of a motion that nothing resists."""
+"""Square of a frequency, relative to the lowest one, that is rounding of a motion without resistance."""
 _SYMMETRIC = 1e-9
-"""Of stiffnesses by differences: what is rounding between one and its transpose."""
+"""Rounding between a stiffness matrix by differences and its transpose."""
 
 
 def state_matrix(model: Model, at: Phase | None = None) -> Floats:
@@ -44,9 +44,9 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
     Returns
     -------
     (2 k, 2 k) float
-        For displacements and velocities along the k :attr:`Model.directions`: of all freedoms that are not
-        driven, or of modes. Displacements of balls and free bodies are turns from where the motion has
-        them.
+        For displacements and velocities along the k :attr:`Model.directions`: of all freedoms without
+        drives, or of modes. Displacements of balls and free bodies are turns from the moving reference,
+        the motion itself.
     """
     return _about(model, at)[0]
 
@@ -83,7 +83,7 @@ def linearise(
     model : Model
         The mechanism.
     inputs : sequence of str
-        Hinges at which torques act, forces at slides, beside those that do already.
+        Hinges at which torques act, forces at slides, in addition to the model's own.
     outputs : sequence of callable
         Functions of the :class:`State`, or of the state and the accelerations (n_v,), that return a number.
     at : Phase, optional
@@ -92,7 +92,7 @@ def linearise(
     Returns
     -------
     Linear
-        Matrices A, B, C, D; state and A as of :func:`state_matrix`. D is not zero for accelerations only.
+        Matrices A, B, C, D, with state and A as of :func:`state_matrix`. D is zero without accelerations.
     """
     freedoms = [model.bodies.freedom(hinge, "linearise")[1] for hinge in inputs]
     for function in outputs:
@@ -141,7 +141,7 @@ class _Nearby:
         return q, qd + self.follow(factors, qd), factors, self.ways + self.follow(factors, self.ways)
 
     def follow(self, factors: Articulated, qd: Floats, bends: Floats | None = None) -> Floats:
-        """Velocities aside, of which loops need some in addition to qd; of accelerations with ``bends``."""
+        """Velocity change for loops, in addition to qd, or for accelerations with ``bends``."""
         joints, tree = self.model.bodies.joints, self.model.tree
         assert joints is not None
         rates = joints.matrix(tree, factors.frames)
@@ -151,7 +151,7 @@ class _Nearby:
         return np.asarray(self.aside @ least_change(rates @ (self.aside / tree.units[:, None]), -opening))
 
     def lack(self, move: Floats, rate: Floats, qdd: Floats) -> Floats:
-        """(k,) float: forces along the directions there, less those of the accelerations along them here."""
+        """(k,) float: forces along the directions there, less the forces of accelerations along them here."""
         model, system = self.model, self.model.system
         q, qd, factors, there = self.place(move, rate)
         torque, joints = system.forces(self.at.time, q, qd, factors)[1], model.bodies.joints
@@ -227,7 +227,7 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     Notes
     -----
     Of M x'' + C x' + K x = 0, whose eigenvalues are found by their inverses, in coordinates by Cholesky's
-    factors of K and M: so the lowest frequencies of a fine beam have all digits. Where K is not positive
+    factors of K and M, so the lowest frequencies of a fine beam have all digits. If K is not positive
     definite, as of a free beam, the eigenvalues are shifted first (Tisseur, Meerbergen, SIAM Rev. 43:235,
     2001, sections 3.4 and 5.1).
     """

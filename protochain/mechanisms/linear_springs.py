@@ -42,14 +42,14 @@ class Spring(Between):
     stiffness : float
         Force per length.
     rest : float, optional
-        Length without force; by default the length as built.
+        Length without force. By default the length as built.
     damping : float
         Force per speed, along the line.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or a constant negative.
+        If the name is already in use, or a constant is negative.
     """
 
     called: ClassVar[str] = "spring"
@@ -124,7 +124,7 @@ def speed_of(twists: Floats, b: int, arm: Vector) -> Vector:
 def pull(
     rotation: Floats, origin: Floats, ends: Integers, points: Floats, constants: Floats, wrenches: Floats
 ) -> float:
-    """Add the forces; return the energy, or minus the number, from 1, of a spring without a direction."""
+    """Add the forces. Return the energy, or minus the number, from 1, of a spring without a direction."""
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]

@@ -24,16 +24,16 @@ class AppliedForce(Named):
     Parameters
     ----------
     name, body : str
-        Name, and that of the body.
+        Name of the load, and name of the body.
     at : (3,) array_like
         Point of the body at which the force acts.
     force, moment : (3,) array_like or callable, optional
-        Along world axes; or a function of the time, or of the time and the :class:`State`, that returns it.
+        Along world axes, or a function of the time, or of the time and the :class:`State`, that returns it.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or nothing acts.
+        If the name is already in use, or nothing acts.
     """
 
     called: ClassVar[str] = "load"
@@ -82,19 +82,19 @@ class AppliedForce(Named):
 
 @dataclass(frozen=True, eq=False)
 class HingeTorque(Named):
-    """Torque at a hinge, between parent and child; a force at a slide.
+    """Torque at a hinge, between parent and child, or a force at a slide.
 
     Parameters
     ----------
     name, hinge : str
-        Name, and that of the hinge.
+        Name of the torque, and name of the hinge.
     value : float or callable
         Torque, or a function of the time, or of the time and the :class:`State`, that returns it.
 
     Raises
     ------
     MechanicsError
-        If the name is taken.
+        If the name is already in use.
     """
 
     called: ClassVar[str] = "torque"
@@ -120,7 +120,7 @@ class HingeTorque(Named):
 
 
 def _law(value: Any, shape: tuple[int, ...], label: str) -> Any:
-    """Constants as checked numbers of a shape; a function, or None, as it is."""
+    """Constants as checked numbers of a shape, or a function or None as it is."""
     if value is None or (callable(value) and n_parameters(value)):
         return value
     if callable(value):
@@ -138,7 +138,7 @@ def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
 
 
 def n_parameters(value: Callable[..., Any]) -> int:
-    """How many arguments a callable needs, one or two, or 0 if others; what has a default is not given."""
+    """Number of arguments that a callable requires, one or two, or 0 if others. Defaults do not count."""
     try:
         parameters = inspect.signature(value).parameters.values()
     except (TypeError, ValueError):  # Some callables that are not of Python have no signature.

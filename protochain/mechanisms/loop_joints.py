@@ -22,9 +22,9 @@ closed to 1e-12."""
 
 @dataclass(frozen=True, eq=False)
 class LoopJoints:
-    """Scalar equations between two bodies each, all zero where the loops are closed.
+    """Scalar equations between two bodies each, all zero for closed loops.
 
-    A turn is the cosine of the angle between a direction of the first body and one of the second; a slide is
+    A turn is the cosine of the angle between a direction of the first body and one of the second. A slide is
     the component of the way from a point of the first body to one of the second, along a direction of the
     first. They may depend on each other, as three of the five of a revolute joint in the plane do.
     """
@@ -43,13 +43,13 @@ class LoopJoints:
         object.__setattr__(self, "along", read_only(self.along))
 
     def rows(self, frames: Frames) -> tuple[Floats, Rows]:
-        """(m,) float: errors, in lengths and cosines; their rates as rows on the twists of the bodies."""
+        """(m,) float: errors, in lengths and cosines, and their rates as rows on the twists of the bodies."""
         error, wrench = np.empty(len(self.body)), np.zeros((len(self.body), 2, 6))
         put_rows(frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench)
         return error, Rows(self.body, wrench)
 
     def matrix(self, tree: Tree, frames: Frames) -> Floats:
-        """(m, n_v) float: rates of the errors by those of the freedoms, in radians and sizes of the tree."""
+        """(m, n_v) float: derivatives of the errors by the freedoms, in radians and sizes of the tree."""
         rates = row_matrix(tree, frames, self.rows(frames)[1]) * tree.units
         return np.asarray(rates / np.where(self.turns, 1.0, tree.size)[:, None])
 
@@ -63,7 +63,7 @@ class LoopJoints:
 
 
 def least_change(matrix: Floats, wanted: Floats) -> Floats:
-    """Least x with matrix x = wanted, for a matrix in radians and sizes, without what is rounding of it."""
+    """Least x with matrix x = wanted, for a matrix in radians and sizes, without its rounding."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
     return np.asarray(right[counts].T @ ((left.T @ wanted)[counts].T / sizes[counts]).T)
@@ -71,7 +71,7 @@ def least_change(matrix: Floats, wanted: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class FactoredLoops:
-    """Loop joints at one pose, and what holds them."""
+    """Loop joints at one pose, with their factors."""
 
     factors: Articulated  # Rigid bodies, their frames, and factors of M there.
     error: Floats  # (m,): Errors of the joints.
@@ -113,7 +113,7 @@ class FactoredLoops:
 
 
 def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
-    """Find what holds loop joints at one pose."""
+    """Factorise loop joints at one pose."""
     # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], G M^-1 G^T = Y Y^T. A row of Y has only the
     # freedoms on the paths from its bodies to the root. O(m n_v r).
     tree, frames = factors.tree, factors.frames
@@ -218,7 +218,7 @@ def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted
 
 @kernel
 def _solved(factor: Floats, x: Floats) -> Floats:
-    """Overwrite x by the solution with a matrix of this Cholesky factor; return it."""
+    """Overwrite x by the solution with a matrix of this Cholesky factor. Return it."""
     solve_lower(factor, len(x), x)
     solve_upper(factor, len(x), x)
     return x
@@ -238,7 +238,7 @@ def put_rows(
     rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray, point: Floats, along: Floats,
     error: Floats, wrench: Floats,
 ) -> None:  # fmt: skip
-    """Write errors, and the rows of their rates; nothing for the world."""
+    """Write errors, and the rows of their rates, nothing for the world."""
     for i in range(len(body)):
         a, b = body[i, 0], body[i, 1]
         s, _ = end_of(rotation, origin, a, algebra.vector(along[i], 0))

@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism", P], None]:
-    """Method that makes a part of its arguments and adds it; documented as the part is."""
+    """Method that makes a part of its arguments and adds it, with the docstring of the part."""
 
     def method(self: "Mechanism", *args: P.args, **kwargs: P.kwargs) -> None:
         for name in kwargs.keys() - taken.parameters.keys():
@@ -63,7 +63,7 @@ class Mechanism:
     Parameters
     ----------
     gravity : (3,) array_like
-        Acceleration of free fall; by default none.
+        Acceleration of free fall. By default none.
     units : {"rad", "deg"}
         Of angles of hinges and their rates, given and shown: coordinates, drives, targets, rests and limits.
         Stiffness, damping and pitch are by radian, and ``spin`` is in radians, in either.
@@ -107,12 +107,12 @@ class Mechanism:
         gravity : (3,) array_like
             As of the class.
         free : bool
-            Whether links without a joint inward are free; otherwise they are fixed to the world.
+            Whether links without a joint inward are free. Otherwise they are fixed to the world.
         stops : float
-            Stiffness of stops at limits of joints, which are not kept without.
+            Stiffness of stops at limits of joints. Without it limits have no effect.
         leave_out : collection of str
-            Kinds to go on without, as ``mimic``. What bodies look like, touch with, and transmissions are
-            left out anyway.
+            Kinds to go on without, as ``mimic``. Looks of bodies, their contact geometry, and transmissions
+            are always skipped.
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If the file is none, or has what a mechanism of it has not.
+            If the file is invalid, or has unsupported parts.
         """
         made = cls(gravity)
         read_urdf(made, source, free, stops, leave_out)
@@ -135,7 +135,7 @@ class Mechanism:
     ) -> Self:
         """Read a model from an MJCF by MuJoCo, of the extra ``robots``.
 
-        Bodies keep their frames: if a joint is not at the origin of its body, or one of several, a body
+        Bodies have the frames of the file. If a joint is not at its body's origin, or one of several, a body
         without mass is between. Equality constraints close loops exactly. Flags, defaults and settings of the
         compiler act as in MuJoCo. Everything else that the file has is refused by its kind, or listed in
         :attr:`left_out`.
@@ -149,7 +149,7 @@ class Mechanism:
         leave_out : collection of str
             Kinds that move bodies, to go on without: ``armature``, ``tendons``, ``equality``, ``gravcomp``,
             ``flex``, ``fluid``, ``plugins``, ``polynomials``, ``springyield``, ``resistance of balls`` (their
-            friction and limits), ``friction of free bodies``. What does nothing by itself is listed only:
+            friction and limits), ``friction of free bodies``. Parts without an effect are listed only:
             actuators (but their armature and damping), contacts, limits without ``stops``, sensors,
             keyframes, mocap, sleep and inactive equalities.
         units : {"rad", "deg"}
@@ -163,7 +163,7 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If MuJoCo is not there or does not read the file, or a mechanism of it has not what it has.
+            If MuJoCo is not there or does not read the file, or the file has unsupported parts.
         """
         made = cls(units=units)
         read_mjcf(made, source, stops, leave_out)
@@ -173,7 +173,7 @@ class Mechanism:
         """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
 
         MuJoCo has the same mass matrix and accelerations. A body without mass that carries one other becomes
-        a joint of that; one that carries several gets a mass and moments of 2e-15, as MuJoCo asks for 1e-15.
+        a joint of that one. One that carries several gets a mass and moments of 2e-15, as MuJoCo needs 1e-15.
         So do moments of rods and points. The largest moment of a flat body is less by 1e-15 of it at most. A
         body whose inertia no body has is one with the bodies that are fixed to it.
 
@@ -185,7 +185,7 @@ class Mechanism:
         Returns
         -------
         str
-            The text. Coordinates begin at zero; MuJoCo's stops and loops give way as it has them.
+            The text. Coordinates begin at zero. MuJoCo's stops and loops are softened as MuJoCo defines.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class Mechanism:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What the file had that the mechanism does not have: kind -> an example's name."""
+        """Parts of the file that the mechanism does not have: kind -> an example's name."""
         return dict(self._left_out)
 
     def set_left_out(self, kinds: Mapping[str, str]) -> None:
@@ -230,7 +230,7 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If the name is taken.
+            If the name is already in use.
         """
         groups: tuple[tuple[type[Named], dict[str, Any], tuple[str, ...]], ...] = (
             (Body, self._bodies, (WORLD,)),
@@ -280,8 +280,8 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If an element names what there is not, or what cannot have it, as a fixed hinge a torsion; if
-            bodies and hinges are no trees, or a body has no inertia.
+            If an element names an unknown part, or one of the wrong kind, as a torsion at a fixed hinge. If
+            bodies and hinges are not trees, or a body has no inertia.
         """
         if not self._bodies:
             raise MechanicsError("the mechanism is empty; add a body by body()")

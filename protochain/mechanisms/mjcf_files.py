@@ -25,7 +25,7 @@ _JOINTS = {0: "free", 1: "ball", 2: "prismatic", 3: "revolute"}
 
 
 def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
-    """Add the bodies and joints of an MJCF; see :meth:`Mechanism.from_mjcf`."""
+    """Add the bodies and joints of an MJCF. See :meth:`Mechanism.from_mjcf`."""
     try:
         import mujoco
     except ImportError:
@@ -45,7 +45,7 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
 
 
 _MOST_PARTS = 20_000
-"""Elements that counts may add to those of the file: MuJoCo takes minutes for so many."""
+"""Elements that counts may add to the elements of the file: MuJoCo needs minutes for so many."""
 _MOST_CELLS = 100_000_000
 """Cells of a height field or texture, or numbers that a user adds to each part."""
 
@@ -85,12 +85,12 @@ def _check_files(reading: Reading, root: Element, folder: Path) -> None:
 
 
 def _n_parts(element: Element) -> float:
-    """Number of elements that an element becomes, with those in it."""
+    """Number of elements that an element becomes, with its children."""
     return max(1.0, _product(element, "count")) * (1 + sum(map(_n_parts, element)))
 
 
 def _product(element: Element, *names: str) -> float:
-    """Product of all numbers in these attributes; 1 without them. MuJoCo refuses what is no number."""
+    """Product of all numbers in these attributes, 1 without them. MuJoCo refuses text without a number."""
     words = [word for name in names for word in element.get(name, "").split()]
     with suppress(ValueError):
         return math.prod(map(float, words))
@@ -104,7 +104,7 @@ class _Compiled:
         self.reading, self.into, self.mujoco, self.m = reading, reading.into, mujoco, m
 
     def read(self) -> None:
-        """Add all parts, and note what a mechanism does not have."""
+        """Add all parts, and list the unsupported ones."""
         m = self.m
         self.into.set_gravity(np.zeros(3) if self.is_off("GRAVITY") else m.opt.gravity)
         for b in range(1, m.nbody):
@@ -132,7 +132,7 @@ class _Compiled:
         return [WORLD, *(self.name("body", b) for b in range(1, self.m.nbody))]
 
     def values(self, name: str, i: int) -> Floats:
-        """An entry of an array that versions of MuJoCo may lack; zero then."""
+        """An entry of an array that versions of MuJoCo may lack. The default is zero."""
         return np.asarray(getattr(self.m, name)[i] if hasattr(self.m, name) else 0.0)
 
     def by_actuators(self, name: str, joint: bool, i: int) -> float:
@@ -147,7 +147,7 @@ class _Compiled:
         return added
 
     def add_body(self, b: int) -> None:
-        """Add a body with its joints; bodies without mass are between several joints."""
+        """Add a body with its joints, and massless bodies between several joints."""
         m, name = self.m, self.bodies[b]
         if m.body_gravcomp[b] and not self.is_off("GRAVITY"):
             self.reading.left.setdefault("gravcomp", name)
@@ -236,7 +236,7 @@ class _Compiled:
         self.reading.resists(name, damping, friction, (low, high) if self.is_limited(j) else None)
 
     def resist_all(self, j: int, a: Any, b: Any, rotation: Floats) -> None:
-        """Add spring and damper of a ball or of a free body; its friction and limits are not had."""
+        """Add spring and damper of a ball or of a free body. Its friction and limits are unsupported."""
         stiffness, damping, friction = self.resistance(j)
         name, ball = self.name("joint", j), b[0] != WORLD or self.m.jnt_type[j] == 1
         if friction or (self.is_limited(j) and self.reading.stops):
@@ -290,7 +290,7 @@ class _Compiled:
             self.reading.unused.setdefault("limits", self.name("tendon", t))
 
     def note_the_rest(self) -> None:
-        """Note what a mechanism of a file does not have otherwise."""
+        """List other unsupported parts of a file."""
         m, left, unused = self.m, self.reading.left, self.reading.unused
         plugins = np.flatnonzero(np.asarray(m.body_plugin) >= 0)
         for kind, has, where in (

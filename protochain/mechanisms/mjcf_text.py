@@ -34,7 +34,7 @@ _SAME = 1e-12
 
 
 def mjcf(of: Any, path: str | Path | None) -> str:
-    """MJCF of a mechanism; see :meth:`Mechanism.to_mjcf`."""
+    """MJCF of a mechanism. See :meth:`Mechanism.to_mjcf`."""
     root = _Writing(of).root
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
@@ -185,7 +185,7 @@ class _Writing:
         self.joints[of.hinge].set("range", _text(limits))
 
     def write_site(self, name: str, body: str, at: Any, turn: Floats) -> str:
-        """Write a point of a body, with axes as columns; return its name."""
+        """Write a point of a body, with axes as columns. Return its name."""
         SubElement(self.elements[body], "site", name=name, pos=_text(at), quat=_text(quaternion(turn)))
         return name
 
@@ -243,7 +243,7 @@ class _Writing:
 
 
 def _fused(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
-    """Bodies of which those with an inertia that no body has are one with what they are fixed to."""
+    """Bodies, with those of unphysical inertia merged with the bodies that are fixed to them."""
     out = dict(bodies)
     for body in bodies.values():
         if not out[body.name].nominal:

@@ -28,7 +28,7 @@ _LOOK = 256
 _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
 _MOST_STEPS = 1e10
-"""Steps of a run: of ten microseconds at least, so that these take a day."""
+"""Steps of a run: of ten microseconds at least, so that these need a day."""
 _TOLERATED = 30.0
 """Displacements of a step that are errors, by the tolerance of each of its substeps."""
 _SAME = 1e-9
@@ -54,9 +54,9 @@ class Model(Assembly):
     events : tuple of Event
         Events.
     inside : bool
-        Whether nothing acts from outside, so that momentum and spin are kept.
+        Whether nothing acts from outside, so that momentum and spin are conserved.
     memories : tuple of Memory
-        What elements keep from step to step.
+        Memories of elements from step to step.
     """
 
     def simulate(
@@ -77,15 +77,15 @@ class Model(Assembly):
         time_step : float
             Longest step.
         integrator : Integrator, optional
-            By default ``motion.RungeKutta4``. ``DormandPrince()`` keeps a tolerance;
-            ``Rosenbrock()`` too, with any damper, however stiff, and damps vibrations smaller than that;
-            ``ImplicitMidpoint()`` keeps their energy, not their phase.
+            By default ``motion.RungeKutta4``. ``DormandPrince()`` adapts its substeps to a tolerance.
+            ``Rosenbrock()`` too, with any damper, however stiff. It damps vibrations below the tolerance.
+            ``ImplicitMidpoint()`` conserves their energy, not their phase.
         every : int
-            Steps from one row of the result to the next; events and the end have rows besides.
+            Steps from one row of the result to the next. Events and the end have further rows.
         start : Phase, optional
             Phase from which to go on, as :attr:`Run.end`.
         balance : float
-            Largest change of energy without work, of the largest in motion, that is no error.
+            Largest permitted change of energy without work, relative to the largest in motion.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class Model(Assembly):
         StepTooLargeError
             If the time step is too long for the integrator: energy comes from nothing, or a step has no end.
         MechanicsError
-            If an argument, or what an element gives, is no number.
+            If an argument, or a result of an element, is not a number.
         """
         start = self.start() if start is None else start
         if not isinstance(start, Phase):
@@ -219,7 +219,7 @@ class _Simulation:
         return Run(self.model, self.rows, tuple(self.happened), end, self.kept)
 
     def check_dead_points(self) -> None:
-        """Raise if drives would move loops beyond where they close, before the next row."""
+        """Raise if drives would move loops beyond their closure before the next row."""
         system, (time, q, qd, *_) = self.model.system, self.rows[-1]
         bodies, joints = self.model.bodies, self.model.bodies.joints
         if joints is None or self.model.drive is None:
@@ -251,7 +251,7 @@ class _Simulation:
 
     @property
     def worst(self) -> int:
-        """Row whose energy differs most from that of the start."""
+        """Row whose energy differs most from the energy at the start."""
         run = Run(self.model, self.rows, (), self.start)
         lack = run.total - np.sum(run.work, axis=1) - run.jumps
         return int(np.argmax(np.abs(lack - lack[0])))
@@ -281,13 +281,13 @@ class _Simulation:
         return _TOLERATED * getattr(self.integrator, "tolerance", 0.0) * steps * work
 
     def unspent(self, row: Row) -> tuple[float, float]:
-        """Kinetic energy; energy less work and what events have given: it does not change."""
+        """Kinetic energy, and the constant energy: energy less work and the energy given by events."""
         _, _, qd, p, potential, work, jumps = row
         kinetic = 0.5 * float(p @ qd)
         return kinetic, kinetic + potential - float(np.sum(work)) - jumps
 
     def without_events(self, until: float) -> Phase:
-        """Take steps as ``mechanisms.march`` does, many in one kernel where that can be."""
+        """March as ``mechanisms.march`` does, many steps in one kernel if possible."""
         system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
         at, count, look = self.start, 0, every * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.

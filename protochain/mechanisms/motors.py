@@ -1,4 +1,4 @@
-"""Motors that hold hinges to a motion: a PD controller, and feed-forward by inverse dynamics."""
+"""Motors that move hinges along a motion: a PD controller, and feed-forward by inverse dynamics."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ from protochain.mechanisms.elements import Acting, Named
 class Motor(Named):
     """Motors of hinges that follow a motion: torques of a PD controller, and feed-forward.
 
-    The torque is k (q* - q) + c (qd* - qd), and with feed-forward also that of inverse dynamics of the
-    bodies and their weight where all followed hinges are at q*, qd*, qdd*, the others as they are without
+    The torque is k (q* - q) + c (qd* - qd), and with feed-forward also the inverse dynamics of the
+    bodies and their weight. There all followed hinges are at q*, qd*, qdd*, the others as they are without
     acceleration: it knows nothing of springs, loads and loops.
 
     Parameters
@@ -31,7 +31,7 @@ class Motor(Named):
     name : str
         Name.
     follow : mapping
-        Hinge -> time -> coordinate, rate and acceleration, or a coordinate at which it is held.
+        Hinge -> time -> coordinate, rate and acceleration, or a constant coordinate.
     stiffness, damping : float
         Gains k and c, of every hinge.
     feed_forward : bool
@@ -42,7 +42,7 @@ class Motor(Named):
     Raises
     ------
     MechanicsError
-        If the name is taken, nothing is followed, or a constant is negative.
+        If the name is already in use, no hinge is followed, or a constant is negative.
     """
 
     called: ClassVar[str] = "motor"

@@ -35,20 +35,20 @@ _POSES = 30
 _FLAT = 0.2
 """A mechanism is seen along the axis in which it is thinner than this, by its next extent."""
 _ASLANT = (2.0, -3.0, 1.5)
-"""From where else."""
+"""Direction of view otherwise."""
 _LASTS = 5.0
-"""s. How long a motion is shown that takes longer than a minute, or less than a tenth of a second."""
+"""s. Duration in the page of motions longer than a minute, or shorter than a tenth of a second."""
 
 
 class Movie:
-    """A motion that moves in a notebook; plain text elsewhere.
+    """A motion that moves in a notebook, with plain text elsewhere.
 
     Parameters
     ----------
     page : str
         The page: HTML that needs nothing else.
     title : str
-        What it shows.
+        Subject of the page.
     """
 
     def __init__(self, page: str, title: str) -> None:
@@ -65,7 +65,7 @@ class Movie:
 def movie(
     run: Motion, path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
 ) -> Movie:
-    """Return the page of a motion, and write it; see :meth:`Run.view`."""
+    """Return the page of a motion, and write it. See :meth:`Run.view`."""
     from jinja2 import Template
 
     if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
@@ -88,7 +88,7 @@ def movie(
 def strip(
     run: Motion, times: ArrayLike | None, shapes: Sequence[Shape] | None, along: ArrayLike | None
 ) -> "Figure":
-    """Return a figure of poses; see :meth:`Run.strip`."""
+    """Return a figure of poses. See :meth:`Run.strip`."""
     from protochain.core.figure import Figure
 
     first, last = run.time[0], run.time[-1]
@@ -144,7 +144,7 @@ def _across(of: Drawing, along: ArrayLike | None) -> Floats:
 
 
 def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
-    """Draw one pose, what is farther away first."""
+    """Draw one pose, the distant shapes first."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Circle, Polygon
 

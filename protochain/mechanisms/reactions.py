@@ -56,7 +56,7 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
 
 
 def _given(model: Assembly, at: Phase) -> Floats:
-    """Torques, and in their place the accelerations of driven hinges, as forward dynamics takes them."""
+    """Torques, replaced by accelerations at driven hinges, as forward dynamics requires."""
     prescribed = at.torque.copy()
     if model.drive is not None:
         prescribed[model.tree.driven_v] = model.drive(at.time)[2]
@@ -64,7 +64,7 @@ def _given(model: Assembly, at: Phase) -> Floats:
 
 
 def phases(run: Motion) -> Iterator[Phase]:
-    """Phases of the rows, each while what elements remember, as where friction began, is as it was there."""
+    """Phases of the rows, each while the elements' memories, as anchors of friction, are restored."""
     memories = run.model.memories
     try:
         for k, (time, q, qd) in enumerate(zip(run.time, run.q, run.qd, strict=True)):
@@ -77,7 +77,7 @@ def phases(run: Motion) -> Iterator[Phase]:
 
 
 def reactions(run: Motion, name: str) -> "pd.DataFrame":
-    """Forces of a hinge, or of a joint that closes a loop; see :meth:`Run.reactions`."""
+    """Forces of a hinge, or of a joint that closes a loop. See :meth:`Run.reactions`."""
     import pandas as pd
 
     model, bodies = run.model, run.model.bodies
@@ -110,7 +110,7 @@ def _of_joint(moment: Transmitted, model: Assembly, rows: list[int]) -> Floats:
 
 
 def motion(run: Motion) -> "pd.DataFrame":
-    """Coordinates of hinges by name; see :attr:`Run.motion`."""
+    """Coordinates of hinges by name. See :attr:`Run.motion`."""
     import pandas as pd
 
     model, tree = run.model, run.model.tree

@@ -1,4 +1,4 @@
-"""Robots of URDF files, and what the readers of URDF and MJCF share.
+"""Robots of URDF files, and the common base of the readers of URDF and MJCF.
 
 Mechanisms, which stand on this, are Any here.
 """
@@ -25,9 +25,9 @@ _URDF = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismat
 
 
 class Reading:
-    """A file, or its text, on its way into a mechanism, and what the mechanism does not have of it.
+    """A file, or its text, on its way into a mechanism, and the list of its unsupported parts.
 
-    Limits become stops of stiffness ``stops``, 0 for none; kinds in ``leave_out`` are gone on without.
+    Limits become stops of stiffness ``stops``, 0 for none. Kinds in ``leave_out`` are skipped.
     """
 
     def __init__(self, into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
@@ -54,7 +54,7 @@ class Reading:
             self.unused.setdefault("limits", hinge)
 
     def end(self) -> None:
-        """Raise if something is left out that was not to be."""
+        """Raise if a part is skipped without permission."""
         self.into.set_left_out({**self.unused, **self.left})
         more = {kind: where for kind, where in self.left.items() if kind not in self.leave_out}
         if more:
@@ -65,7 +65,7 @@ class Reading:
 
 
 def read_urdf(into: Any, source: str | Path, free: bool, stops: float, leave_out: Collection[str]) -> None:
-    """Add the links and joints of a URDF; see :meth:`Mechanism.from_urdf`."""
+    """Add the links and joints of a URDF. See :meth:`Mechanism.from_urdf`."""
     reading = Reading(into, source, stops, leave_out)
     root = root_of(reading, source, "robot")
     joints = root.findall("joint")

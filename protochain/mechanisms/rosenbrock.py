@@ -11,11 +11,11 @@ from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, Phase, StepTooLargeError
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
-"""With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
+"""With it the method is L-stable: motions stiffer than the resolution of the step are damped at once."""
 _BALANCED = 1e-3
-"""What a substep may lose in addition to its work, of the energy that flows in it."""
+"""Permitted loss of a substep in addition to its work, relative to the energy that flows in it."""
 _LEAST, _MOST = 1e-15, 10_000
-"""Shortest substep, relative to the step: of what no step resolves; and most of a step."""
+"""Shortest substep, relative to the step, which no step resolves, and the most substeps of a step."""
 _NUDGE = 1e-6
 """Displacement for the derivatives by differences, in radians and sizes of the tree."""
 
@@ -27,14 +27,14 @@ class Rosenbrock(Integrator):
     With f the rates of displacement and velocity and J their derivatives, (1 - gamma h J) k1 = f(t, y) +
     gamma h f_t, (1 - gamma h J) k2 = f(t + h, y + h k1) - 2 k1 - gamma h f_t, and y + h (3 k1 + k2) / 2 is
     the end: Verwer, Spee, Blom, Hundsdorfer, SIAM J. Sci. Comput. 20:1456 (1999). Of order two with any J, so
-    that differences will do for it. They take 2 n_v + 1 accelerations a step, and the solution O(n_v^3): for
+    that differences are enough. They need 2 n_v + 1 accelerations a step, and the solution O(n_v^3): for
     mechanisms of up to some hundred freedoms.
 
     Parameters
     ----------
     tolerance : float
         Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree, that
-        substeps keep. What moves by less is damped.
+        substeps permit. Smaller motions are damped.
     """
 
     tolerance: float = 1e-6
@@ -44,7 +44,7 @@ class Rosenbrock(Integrator):
 
     @property
     def remedy(self) -> str:
-        """What to take where a time step is too long."""
+        """Remedy for a time step that is too long."""
         closer = f"a shorter one, Rosenbrock({self.tolerance / 100:.1g})"
         return f"take {closer}, or ImplicitMidpoint(), which keeps the energy of vibrations"
 
@@ -54,7 +54,7 @@ class Rosenbrock(Integrator):
         Raises
         ------
         StepTooLargeError
-            If no substep keeps the tolerance, or the balance of energy and work.
+            If no substep satisfies the tolerance, or the balance of energy and work.
         """
 
         def substep(at: Phase, h: float) -> Tried:
@@ -81,7 +81,7 @@ def _advance(system: Equations, at: Phase, h: float) -> Tried:
     n, driven = system.n_v, system.tree.driven_v
 
     def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rates of displacement and velocity, none of driven hinges; power of loads and drive."""
+        """Rates of displacement and velocity, none of driven hinges, and power of loads and drive."""
         q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
         factors = system.factors(q)
         _, torque, loads = system.forces(time, q, qd, factors)

@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 from protochain.mechanisms.assembly import Motion
 
 ROUNDED = 1e3 * float(np.finfo(float).eps)
-"""Of the energy that is held: what rounding may make of it."""
+"""Rounding error, relative to the stored energy."""
 
 
 class Audit(NamedTuple):
-    """What does not add up, each relative to the largest of its kind in the run.
+    """Errors of the balances, each relative to the largest of its kind in the run.
 
     Parameters
     ----------
     energy : float
-        Largest change of energy that is neither work nor an event's, of the largest energy in motion; where
-        nothing moves, of the energy held.
+        Largest change of energy that is neither work nor an event's, relative to the most energy in motion. If
+        nothing moves, relative to the stored energy.
     momentum, spin : float or None
-        Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
+        Largest change of momentum, and of spin about the origin, relative to the sum over the bodies. None if
         something acts from outside, as the jump of an event that does not pass may.
     gap, parting : float or None
-        Largest error of a loop, a cosine or length by the size of the tree, and largest rate of one, by that
-        of the fastest hinge; None without loops.
+        Largest error of a loop, a cosine or length by the size of the tree, and its largest rate, relative
+        to the fastest hinge. None without loops.
     """
 
     energy: float
@@ -50,7 +50,7 @@ class Audit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Run(Motion):
-    """Motion of a mechanism; its arrays are made when they are first asked for.
+    """Motion of a mechanism. Its arrays are made at first use.
 
     Parameters
     ----------
@@ -59,11 +59,11 @@ class Run(Motion):
     rows : sequence of Row
         Phases, without their factors.
     events : tuple of Happened
-        What has happened.
+        Events that happened.
     end : Phase
         Phase at the end, from which :meth:`Model.simulate` can go on.
     kept : sequence of tuple
-        What the model's memories kept at each row; empty without memories.
+        Contents of the model's memories at each row, empty without memories.
     """
 
     @cached_property
@@ -83,10 +83,10 @@ class Run(Motion):
 
     @cached_property
     def motion(self) -> "pd.DataFrame":
-        """One row a time: coordinate and rate of each hinge, and torque and power of what moves it.
+        """One row a time: coordinate and rate of each hinge, and torque and power of its motors or drive.
 
-        ``pin``, ``pin rate``; of a driven hinge ``pin drive``, of one with motors or torques ``pin torque``
-        and ``pin power``, the sums of all of them; forces at slides. Of balls ``x``, ``y``, ``z``.
+        ``pin``, ``pin rate``. A driven hinge has ``pin drive``, one with motors or torques ``pin torque``
+        and ``pin power``, the sums of all of them. Slides have forces, and balls ``x``, ``y``, ``z``.
         """
         return motion(self)
 
@@ -102,13 +102,13 @@ class Run(Motion):
         -------
         pandas.DataFrame
             A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
-            on the second body of a joint about its point; torques of springs, motors and drives in it are
-            among them. Where joints depend on others, forces are not unique; these are the least.
+            on the second body of a joint about its point. Torques of springs, motors and drives in it are
+            among them. If joints depend on others, forces are not unique, and these are the least.
 
         Raises
         ------
         MechanicsError
-            If there is no such hinge.
+            If the hinge is unknown.
         """
         return reactions(self, name)
 
@@ -126,7 +126,7 @@ class Run(Motion):
         path : str or Path, optional
             Where to write the page, as ``"motion.html"``.
         shapes : sequence of Ball, Rod or Block, optional
-            What bodies look like; by default rods to where others are joined, the balls of contacts, and for
+            Shapes of bodies. By default rods to joined parts, the balls of contacts, and for
             bodies without either blocks or balls with their moments of inertia.
         title : str
             Its heading.
@@ -156,16 +156,16 @@ class Run(Motion):
         Parameters
         ----------
         times : (n,) array_like, optional
-            When; the rows next to these are drawn. By default five, from start to end.
+            Times. The rows next to these are drawn. By default five, from start to end.
         shapes : sequence of Ball, Rod or Block, optional
             As of :meth:`view`.
         along : (3,) array_like, optional
-            Direction in which one looks; by default that in which the motion is flat, or aslant.
+            Direction of view. By default the direction in which the motion is flat, or aslant.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Shown by notebooks; ``savefig("strip.svg")`` writes it.
+            Notebooks display it. ``savefig("strip.svg")`` writes it.
 
         Raises
         ------
@@ -212,11 +212,11 @@ class Run(Motion):
 
     @property
     def in_motion(self) -> float:
-        """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
+        """Largest moving energy: kinetic, change of the potential, work, and events."""
         parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
         return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
 
     @property
     def held(self) -> float:
-        """Energy of what is held, of which rounding may move a part: its potential, weights by its size."""
+        """Stored energy, of which rounding may move a part: its potential, weights by its size."""
         return float(abs(self.potential[-1]) + np.max(self.end.effort * self.model.tree.units, initial=0.0))

@@ -18,7 +18,7 @@ LEAF = 4
 
 
 def kernel(function: Any) -> Any:
-    """Compile a search; products and sums are rounded as numpy rounds them."""
+    """Compile a search. It rounds products and sums as numpy does."""
     return njit(cache=True, error_model="numpy")(function)
 
 
@@ -40,7 +40,7 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     Raises
     ------
     MechanicsError
-        If a centre is not finite, or a radius is no length.
+        If a centre is not finite, or a radius is not a length.
 
     Notes
     -----
@@ -66,7 +66,7 @@ def _refuse(name: str, bad: Any) -> None:
 
 @kernel
 def edge_of(centre: Floats, radius: Floats) -> float:
-    """Edge of the cells: the largest diameter, or more where the cells would be too many."""
+    """Edge of the cells: the largest diameter, or more if the cells would be too many."""
     widest = 0.0
     for k in range(3):
         widest = max(widest, np.max(centre[:, k]) - np.min(centre[:, k]))
@@ -180,9 +180,9 @@ class BoxTree(Value):
     low, high : (nodes, 3) float
         Boxes of the nodes.
     after : (nodes,) int
-        Next node that is no descendant.
+        Next node that is not a descendant.
     items : (nodes, 2) int
-        Items ``order[items[k, 0]:items[k, 1]]`` of leaf k; none of another node.
+        Items ``order[items[k, 0]:items[k, 1]]`` of leaf k, none of another node.
     order : (n,) int
         Items as the leaves have them.
     item_low, item_high : (n, 3) float
@@ -297,7 +297,7 @@ def _halved(low: Floats, high: Floats) -> tuple[Floats, Floats, Integers, Intege
 
 @kernel
 def _link(ends: Integers, after: Integers) -> None:
-    """Write the next node that is no descendant: the first later one that ends later."""
+    """Write the next node that is not a descendant: the first later one that ends later."""
     for k in range(len(ends) - 1, -1, -1):
         later = k + 1
         while later < len(ends) and ends[later] <= ends[k]:

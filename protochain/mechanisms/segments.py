@@ -1,7 +1,7 @@
 """Flexible beams as finite segments: rigid rods in a row, with springs at the hinges between them.
 
-Megahed, Hamza, Robotica 22:285 (2004). The beam, less a rigid zone at either end, is cut into equal cells;
-the middle of each is a hinge whose spring is as stiff as the cell, and the rods between are rigid. The error
+Megahed, Hamza, Robotica 22:285 (2004). The beam, less a rigid zone at either end, is cut into equal cells.
+The middle of each is a hinge whose spring is as stiff as the cell, and the rods between are rigid. The error
 of frequencies and deflections falls as one over the square of the number of cells. What comes of it is an
 ordinary tree of revolute hinges.
 """
@@ -36,9 +36,9 @@ class Beam:
     bending : float or (float, float)
         Stiffness EI about y and about z.
     twist : float
-        Stiffness GJ about x; needed only where it twists.
+        Stiffness GJ about x, needed only for beams that twist.
     polar : float
-        Moment of inertia about x per length, half of which is about y and z; a beam that twists needs some.
+        Moment of inertia about x per length, half of which is about y and z. A beam that twists needs some.
     rigid : float
         Share of the length that is rigid, at each end.
     lumped : bool
@@ -75,7 +75,7 @@ class Beam:
         return float({"x": self.twist, "y": about_y, "z": about_z}[axis])
 
     def lengths(self, cells: int) -> Floats:
-        """(cells + 1,) float: lengths of the rods; the outer ones are half cells with the rigid zones."""
+        """(cells + 1,) float: lengths of the rods. The outer ones are half cells with the rigid zones."""
         cell = (1.0 - 2.0 * self.rigid) * self.length / cells
         out = np.full(cells + 1, cell)
         out[[0, -1]] = 0.5 * cell + self.rigid * self.length
@@ -123,11 +123,11 @@ def add_beam(
     name : str
         Name of the beam, and of the hinge at its root.
     beam : Beam
-        What it is made of.
+        Its properties.
     cells : int
         Number of cells: of hinges, for each axis.
     parent : str
-        Body that holds its root, or "world".
+        Body to which its root is fixed, or "world".
     joint : mapping
         Arguments of :meth:`Mechanism.hinge` for its root: kind, at, axis, rotation, q, qd. By default fixed
         at the parent's origin. The beam leaves along x of the parent.
@@ -144,7 +144,7 @@ def add_beam(
     Raises
     ------
     MechanicsError
-        If there is no cell, an axis is none or not stiff, or a name is taken.
+        If there is no cell, an axis is invalid or not stiff, or a name is already in use.
     """
     if not isinstance(cells, int) or cells < 1:
         raise MechanicsError(f'beam "{name}": {shown(cells)} cells; give a whole number from 1')

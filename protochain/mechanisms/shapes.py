@@ -1,4 +1,4 @@
-"""Where balls touch planes, surfaces and each other."""
+"""Touches of balls with planes, surfaces and each other."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from protochain.mechanisms.triangles import least_distances
 
 @dataclass(frozen=True)
 class Ball:
-    """Sphere fixed in a body; with a radius of zero, a point, as the corner of a block.
+    """Sphere fixed in a body. With a radius of zero, a point, as the corner of a block.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Plane:
-    """Half-space fixed in a body; whatever is below the plane is inside, however deep.
+    """Half-space fixed in a body. All points below the plane are inside, however deep.
 
     Parameters
     ----------
@@ -83,11 +83,11 @@ class Surface:
 
 Obstacle = Plane | Surface | None
 Other = Obstacle | Sequence[Ball]
-"""What balls touch; None is each other."""
+"""Obstacles of balls. None is each other."""
 
 
 class Touches(NamedTuple):
-    """Where two bodies a and b overlap."""
+    """Overlap of two bodies a and b."""
 
     pair: Integers  # (k, 2) int: Number of the ball, and of what it touches, in order.
     ends: Integers  # (k, 2) int: Bodies a and b; -1 is the world.
@@ -258,11 +258,11 @@ def _refuse_passage(name: str, ball: Integers, bad: np.ndarray) -> None:
 
 
 Finder = OnPlane | Among | OnSurface
-"""Where some balls touch something: a body, -1 for the world; any number if these are balls."""
+"""Touches of some balls with an obstacle: a body, -1 for the world, or any number if these are balls."""
 
 
 def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
-    """What finds where balls touch a plane, a surface, other balls, or each other (None)."""
+    """Finder of touches of balls with a plane, a surface, other balls, or each other (None)."""
     bound = balls_of(bodies, balls, name)
     if isinstance(other, Plane):
         body = bodies.number(other.body, name)

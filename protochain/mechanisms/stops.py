@@ -21,9 +21,9 @@ class Stop(Named):
     Parameters
     ----------
     name, hinge : str
-        Name, and that of the hinge.
+        Name of the stop, and name of the hinge.
     low, high : float
-        Limits of its coordinate; by default none.
+        Limits of its coordinate. By default none.
     stiffness : float
         Torque by angle beyond a limit (force by length).
     damping : float
@@ -32,7 +32,7 @@ class Stop(Named):
     Raises
     ------
     MechanicsError
-        If the name is taken, the limits are none, or a constant is negative.
+        If the name is already in use, there are no limits, or a constant is negative.
     """
 
     called: ClassVar[str] = "stop"
@@ -57,7 +57,7 @@ class Stop(Named):
         self.fix(low=low, high=high, stiffness=k, damping=c)
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its elastic torque, and that of the damper as a load."""
+        """Return its elastic torque, and the torque of the damper as a load."""
         place, freedom = bodies.freedom(self.hinge, self.label)
         unit = bodies.unit(self.hinge)
         bound = Stopped(place, freedom, self.low * unit, self.high * unit, self.stiffness, self.damping)
@@ -87,7 +87,7 @@ class Stopped:
         return float(at - np.clip(at, self.low, self.high))
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
-        """Add the elastic torque; return its energy."""
+        """Add the elastic torque. Return its energy."""
         depth = self.depth(q)
         torques[self.freedom] -= self.stiffness * depth
         return 0.5 * self.stiffness * depth * depth

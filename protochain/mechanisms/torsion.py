@@ -16,23 +16,23 @@ from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, const
 
 @dataclass(frozen=True, eq=False)
 class Torsion(Named):
-    """Spring, damper, or both, on a hinge: on its angle, or its slide; energy k (q - rest)^2 / 2.
+    """Spring, damper, or both, on a hinge, with its angle or slide, and energy k (q - rest)^2 / 2.
 
     Parameters
     ----------
     name, hinge : str
-        Name, and that of the hinge.
+        Name of the torsion, and name of the hinge.
     stiffness : float
         Torque per radian (force per length).
     rest : float, optional
-        Coordinate without torque; None is the coordinate as built.
+        Coordinate without torque. None is the coordinate as built.
     damping : float
         Torque per rate.
 
     Raises
     ------
     MechanicsError
-        If the name is taken, or a constant negative.
+        If the name is already in use, or a constant is negative.
     """
 
     called: ClassVar[str] = "torsion"
@@ -76,7 +76,7 @@ class Torsions(Rows):
 
 @kernel
 def wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
-    """Add the torques of the springs; return their energy."""
+    """Add the torques of the springs. Return their energy."""
     energy = 0.0
     for i in range(len(coordinates)):
         turn = q[coordinates[i]] - constants[i, REST]

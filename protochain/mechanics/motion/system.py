@@ -283,7 +283,7 @@ class Equations:
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None, factors: Articulated
     ) -> tuple[Floats, Floats | None]:
-        """Accelerations (n_v,) under torques (n_v,), and the loads, whose last are the torques of the drive."""
+        """Accelerations (n_v,) under torques (n_v,), and the loads. The last is the torques of the drive."""
         if self.drive is None:
             return self.held(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
         driven, prescribed, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)

@@ -8,8 +8,8 @@ from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot
 from protochain.mechanics.multibody.tree import SLIDE, TURN
 
 CARRIER, Q, V, NODE, SHAPE, LOCKED = range(6)
-"""Columns of ``links`` (nb + 1, 6): node that carries the body, -1 for the world; first coordinate, freedom,
-node, and rate of amplitudes; whether the hinge is driven."""
+"""Columns of ``links`` (nb + 1, 6): node that carries the body (-1 for the world), first coordinate, freedom,
+node, and rate of amplitudes, whether the hinge is driven."""
 _SMALL = 1e-2
 """rad. Below it quotients of differences lose digits, while three terms of their series do not."""
 
@@ -44,7 +44,7 @@ def between(origin: Floats, i: int, j: int) -> Vector:
 
 @kernel
 def shortened(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first: int) -> Vector:
-    """Sum of what shape s takes off with each of n amounts."""
+    """Sum of the shortening of shape s with each of n amounts."""
     x, y, z = 0.0, 0.0, 0.0
     for t in range(n):
         x += amounts[first + t] * shortening[i, s, t, 0]
@@ -76,7 +76,7 @@ def gathered(links: Integers, origin: Floats, wrench: Floats, b: int) -> tuple[V
 def base_twist(
     links: Integers, seats: Floats, rotation: Floats, origin: Floats, b: int, motion: Floats, rates: Floats
 ) -> tuple[Vector, Vector]:
-    """Twist of body b about its origin, from that of its carrier and the rates of its hinge."""
+    """Twist of body b about its origin, from the twist of its carrier and the rates of its hinge."""
     c, frame, k = links[b, CARRIER], links[b, NODE], links[b, V]
     n_v = links[b + 1, V] - k
     omega, u = ZERO, ZERO

@@ -15,11 +15,11 @@ from protochain.mechanisms.flexible.dynamics import mass_matrix, momenta, solve
 from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
 
 Route = Literal["articulated", "blocks", "dense"]
-"""How rates follow from momenta: leaf to root, O(n); amplitudes before hinges; the whole matrix at once."""
+"""Rates from momenta: leaf to root, O(n), or amplitudes before hinges, or the whole matrix at once."""
 
 
 def rates_of(flexible: Flexible, bent: Bent, p: Floats, route: Route = "articulated") -> Floats:
-    """Velocities qd of momenta p = M qd; p (n_v,) -> (n_v,): Velocities."""
+    """Velocities qd of momenta p = M qd, p (n_v,) -> (n_v,): Velocities."""
     p = floats(p, (flexible.n_v,), "p")
     if flexible.tree.driven is not None:
         raise MechanicsError(
@@ -56,7 +56,7 @@ def canonical_rates(
 
     Returns
     -------
-    (n_v,) float; (n_v,) float
+    (n_v,) float, (n_v,) float
         Velocities qd, and dp/dt.
     """
     qd = rates_of(flexible, bend(flexible, q), p, route)

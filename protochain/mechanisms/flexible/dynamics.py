@@ -70,7 +70,7 @@ def forward_dynamics(
 
 
 def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
-    """Solve M x = tau by one inward and one outward sweep; x is 0 where hinges are driven."""
+    """Solve M x = tau by one inward and one outward sweep. x is 0 at driven hinges."""
     # tau (n_v,) -> (n_v,).
     # As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
     _, mass, inertia, *_ = flexible.arrays
@@ -115,7 +115,7 @@ def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
 
 
 def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
-    """J^T felt (nn, 6), which is overwritten by what the nodes carry."""
+    """J^T felt (nn, 6), which is overwritten by the loads that the nodes carry."""
     tau = np.empty(flexible.n_v)
     kernels.put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
     return tau

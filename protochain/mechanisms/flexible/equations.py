@@ -1,4 +1,4 @@
-"""Systems of which some bodies bend, for the integrators that take any equations of motion."""
+"""Systems with bodies that bend, for the integrators of any equations of motion."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,9 +18,9 @@ from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend, elasti
 class BendingSystem(Equations):
     """Bodies of which some bend, in a potential in addition to their elastic energy, under loads.
 
-    Coordinates and freedoms are those of ``flexible.Flexible``. Potentials and
+    ``flexible.Flexible`` defines coordinates and freedoms. Potentials and
     loads get ``flexible.Bent`` for factors and frames, and loads may give wrenches
-    (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods take it.
+    (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods accept it.
     """
 
     flexible: Flexible = field(kw_only=True)  # Bodies, on the hinges of ``tree``.
@@ -37,7 +37,7 @@ class BendingSystem(Equations):
 
     @cached_property
     def units(self) -> Floats:
-        """(n_v,) float: of an amplitude, what moves a section by a size of the tree, or turns by a radian."""
+        """(n_v,) float: an amplitude that moves a section by a size of the tree, or turns it by a radian."""
         return read_only(np.concatenate([self.tree.units, self._of_shapes]))
 
     @cached_property
@@ -59,7 +59,7 @@ class BendingSystem(Equations):
         return bend(self.flexible, q)
 
     def forces(self, time: float, q: Floats, qd: Floats, factors: Any) -> tuple[float, Floats, Floats | None]:
-        """Potential and elastic energy; torques (n_v,) of these and the loads, and of each load alone."""
+        """Potential and elastic energy, torques (n_v,) of these and the loads, and of each load alone."""
         potential, torque, loads = super().forces(time, q, qd, factors)
         energy, bending = elastic(self.flexible, q)
         return potential + energy, torque + bending, loads
@@ -78,7 +78,7 @@ class BendingSystem(Equations):
         return out if torques is None else out + torques
 
     def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
-        """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
+        """Accelerations (n_v,) under torques, with the prescribed ones at driven hinges."""
         return flexible_dynamics.forward_dynamics(self.flexible, q, qd, tau)
 
     def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:

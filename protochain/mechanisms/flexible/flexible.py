@@ -33,7 +33,7 @@ class Shapes(Value):
     moves, turns : (n, 3, k) float
         Displacement and rotation vector of each section for unit amplitude of each shape.
     shortening : (n, 3, k, k) float
-        Half of its product with two amplitudes is taken off the displacement; symmetric in the last two.
+        Half of its product with two amplitudes shortens the displacement. Symmetric in the last two.
     stiffness : (k, k) float
         Half of its product with two amplitudes is the elastic energy.
 
@@ -74,16 +74,16 @@ class Shapes(Value):
 class Flexible(Value):
     """Forest of bodies of which some bend.
 
-    The coordinates are those of the tree, then the amplitudes of the shapes, body by body.
+    The coordinates are the tree's, then the amplitudes of the shapes, body by body.
 
     Parameters
     ----------
     tree : Tree
-        Hinges, and all bodies at rest; mass, centre and inertia are read of rigid bodies only.
+        Hinges, and all bodies at rest. Only rigid bodies need mass, centre and inertia.
     shapes : tuple of Shapes or None
-        Of each body; None for a rigid one.
+        Shapes of each body, None for a rigid one.
     section : (nb,) int
-        Section of its parent that each body rides on; -1 for the parent's frame, which does not bend.
+        Section of its parent that each body rides on, -1 for the parent's frame, which does not bend.
 
     Raises
     ------
@@ -113,13 +113,13 @@ class Flexible(Value):
 
     @cached_property
     def node_start(self) -> Integers:
-        """(nb + 1,) int: body b's nodes are these rows; its frame is the first, its sections follow."""
+        """(nb + 1,) int: first row of each body's nodes. The first node is its frame, its sections follow."""
         counts = [2 if s is None else 1 + len(s.place) for s in self.shapes]
         return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
 
     @cached_property
     def sections(self) -> Shapes:
-        """All nodes, with as many shapes as the body of most has; the stiffness is that of no body."""
+        """All nodes, padded to the largest number of shapes. The stiffness is unused."""
         most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
         nodes = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
         place, mass, inertia, moves, turns, shortening = (
@@ -148,7 +148,7 @@ class Flexible(Value):
 
     @cached_property
     def rotors(self) -> Floats:
-        """(n_v,) float: armature of each freedom; amplitudes have none."""
+        """(n_v,) float: armature of each freedom, zero for amplitudes."""
         return read_only(np.pad(self.tree.rotors, (0, self.n_v - self.tree.n_v)))
 
     @cached_property
@@ -162,7 +162,7 @@ class Flexible(Value):
 
     @cached_property
     def springs(self) -> tuple[Floats, Integers]:
-        """(nb, K, K) float: stiffness of each body; (nb, K) int: which amplitude, -1 for none."""
+        """(nb, K, K) float: stiffness of each body, and (nb, K) int: its amplitudes, -1 for none."""
         counts, most = np.diff(self.shape_start), len(self.sections.stiffness)
         stiffness = np.zeros((len(counts), most, most))
         for b, shapes in enumerate(self.shapes):
@@ -192,7 +192,7 @@ class Flexible(Value):
 
 @dataclass(frozen=True, eq=False)
 class Bent(Value):
-    """Where all nodes are, at one q: frames of bodies and sections, body by body as in ``node_start``."""
+    """Places of all nodes at one q: frames of bodies and sections, body by body as in ``node_start``."""
 
     # rotation, origin: (nn, 3, 3): Axes of the nodes in the world, as columns, and their places.
     rotation: Floats

@@ -143,7 +143,7 @@ def put_torques(
     links: Integers, seats: Floats, rotation: Floats, origin: Floats, columns: Floats, felt: Floats,
     tau: Floats,
 ) -> None:  # fmt: skip
-    """Write J^T wrench; overwrite the wrenches ``felt`` (nn, 6) by what their nodes carry."""
+    """Write J^T wrench. Overwrite the wrenches ``felt`` (nn, 6) by the loads that their nodes carry."""
     for b in range(len(links) - 2, -1, -1):
         c, frame, j, k = links[b, CARRIER], links[b, NODE], links[b, SHAPE], links[b, V]
         for s in range(links[b + 1, SHAPE] - j):
@@ -164,7 +164,7 @@ def put_gradient(
     links: Integers, seats: Floats, rotation: Floats, origin: Floats, columns: Floats, twists: Floats,
     changes: Floats, felt: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    """Write the sum of (dJ/dt)^T times momentum; ``felt`` has the momenta that nodes carry."""
+    """Write the sum of (dJ/dt)^T times momentum. ``felt`` has the momenta that nodes carry."""
     for b in range(len(links) - 1):
         c, frame, j, k = links[b, CARRIER], links[b, NODE], links[b, SHAPE], links[b, V]
         for s in range(links[b + 1, SHAPE] - j):
@@ -190,7 +190,7 @@ def solve_bent(
     links: Integers, seats: Floats, mass: Floats, inertia: Floats, rotation: Floats, origin: Floats,
     columns: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Overwrite tau in x by M^-1 tau; return the first body without a pivot, or -1."""
+    """Overwrite tau in x by M^-1 tau. Return the first body without a pivot, or -1."""
     # The rates of a body's amplitudes and its twist V have the matrix summed over its nodes of F^T I F, with
     # F = [columns, X] and X what moves V to the node. Amplitudes are eliminated first, then the hinge.
     n, most = len(links) - 1, columns.shape[1]
@@ -245,7 +245,7 @@ def _add_node(
     i: int, size: int, mass: float, rotation: Floats, inertia: Floats, carried: Floats, load: Floats,
     f: Floats, g: Floats, whole: Floats,
 ) -> None:  # fmt: skip
-    """Add F^T I F of a node, with what it carries, to the matrix of its body, and its load as last column."""
+    """Add F^T I F of a node, with its carried bodies, to its body's matrix. The load is the last column."""
     for r in range(size):
         moment = add(
             nodes.resisted(rotation, inertia, i, algebra.vector(f, r, 0)), nodes.times(carried, i, f, r, 0)
@@ -271,7 +271,7 @@ def _mirrored(p: Floats) -> Floats:
 
 @kernel
 def _carry(c: int, p: Floats, f: Floats, g: Floats, carried: Floats, load: Floats) -> None:
-    """Add what a body weighs, and its load, to the node that carries it."""
+    """Add the inertia of a body, and its load, to the node that carries it."""
     for r in range(6):
         for m in range(6):
             g[r, m] = 0.0
@@ -325,7 +325,7 @@ def _outward(
 
 @kernel
 def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
-    """Eliminate rows of a symmetric matrix, in its upper triangle; the column after it is the right side."""
+    """Eliminate rows of a symmetric matrix in its upper triangle. The column after it is the right side."""
     for r in range(first, end):
         # The diagonal before the rows above were subtracted.
         before = a[r, r]
@@ -342,7 +342,7 @@ def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
 
 @kernel
 def _pass_hinge(p: Floats, h: Floats, armature: float, tau: float, gain: Floats) -> bool:
-    """Overwrite P, and its last column -z, by what is left past a hinge h; write P h / D and its rate."""
+    """Overwrite P, and its last column -z, by their remainders past a hinge h. Write P h / D and its rate."""
     pivot, passed, whole = armature, 0.0, 0.0
     for r in range(6):
         gain[r] = 0.0

@@ -43,14 +43,14 @@ class RigidBodies:
 
 @dataclass(frozen=True, eq=False)
 class Bending(Value):
-    """Bodies of which some bend, at one q: what an impact takes in place of factors.
+    """Bodies of which some bend, at one q: input of an impact in place of factors.
 
     An instantaneous impulse moves all shapes at once: elastic forces are finite, and do nothing in no time.
 
     Parameters
     ----------
     flexible, bent : Flexible, Bent
-        Bodies, and where their nodes are. The nodes are the bodies of points of contact
+        Bodies, and the places of their nodes. The nodes are the bodies of points of contact
         (:meth:`Flexible.node`).
     """
 
@@ -93,7 +93,7 @@ class Bending(Value):
 
 
 Bodies = RigidBodies | Bending
-"""Bodies at one pose; those that bend count node by node."""
+"""Bodies at one pose. Those that bend count node by node."""
 
 
 def bodies_of(factors: Articulated | Bending) -> Bodies:
@@ -102,7 +102,7 @@ def bodies_of(factors: Articulated | Bending) -> Bodies:
 
 
 def twists_of(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:
-    """(m, 2, 6) float: twists of the two bodies of each row; the world's is zero."""
+    """(m, 2, 6) float: twists of the two bodies of each row, zero for the world."""
     # Index -1 finds the last, of the world.
     twists = np.vstack([bodies.twists(qd), np.zeros(6)])
     return np.asarray(twists[rows.body])

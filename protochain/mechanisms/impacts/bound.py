@@ -11,7 +11,7 @@ from protochain.mechanisms.impacts.bodies import Bending, bodies_of
 from protochain.mechanisms.impacts.points import ContactPoint, Struck
 
 _ROUND_OFF = 1e-12
-"""Of the largest inverse inertia: what is smaller is none."""
+"""Of the largest inverse inertia. Smaller ones count as zero."""
 
 
 def friction_bound(
@@ -24,15 +24,15 @@ def friction_bound(
     factors : Articulated or Bending
         Bodies, as for :func:`impact`.
     points : sequence of ContactPoint
-        Points of contact; their own friction is not read.
+        Points of contact. Their own friction is not read.
     loops : Rows, optional
-        Constraint rows that hold all the time.
+        Constraint rows that act at all times.
 
     Returns
     -------
     float
         Bound sqrt(s / w): s the least eigenvalue of W_nn - W_nt W_tt^-1 W_tn, w the largest of W_tt. Infinite
-        without points; 0, which says nothing, where impulses of points depend on each other.
+        without points. 0, without any information, if impulses of points depend on each other.
 
     Raises
     ------

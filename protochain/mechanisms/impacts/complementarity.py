@@ -1,11 +1,11 @@
 """Several points of contact at once: impulses in friction cones that are complementary to velocities.
 
-Of each point the normal impulse is at least its floor f, more only where u_n = 0; the tangential one is in
-the disc of radius mu L_n, on its edge and against u_t where the point slips. Projected Gauss-Seidel sweeps
-(Jean, Comput. Methods Appl. Mech. Eng. 177:235, 1999) lead to where Newton's method on the natural map
+At each point the normal impulse is at least its floor f, and larger only if u_n = 0. The tangential one is in
+the disc of radius mu L_n, on its edge and against u_t if the point slips. Projected Gauss-Seidel sweeps
+(Jean, Comput. Methods Appl. Mech. Eng. 177:235, 1999) lead to the point at which Newton on the natural map
 (Alart, Curnier, ibid. 92:353, 1991) finds the solution to rounding. A small multiple of 1 is added to W: it
-spreads the load over redundant points as springs of equal stiffness would, with the least norm, and is taken
-out again by shifts (Rockafellar's proximal points, SIAM J. Control Optim. 14:877, 1976).
+spreads the load over redundant points as springs of equal stiffness would, with the least norm. It is removed
+by shifts (Rockafellar's proximal points, SIAM J. Control Optim. 14:877, 1976).
 """
 
 import numpy as np
@@ -14,9 +14,9 @@ from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.algebra import kernel
 
 SOLVED, UNSOLVED, SEVERAL = range(3)
-"""How it ended: found; not found; found, and so was another solution."""
+"""Outcome: found, not found, or found together with another solution."""
 _SOFT = 1e-9
-"""What is added to W, relative to its largest element."""
+"""Addition to W, relative to its largest element."""
 _EXACT = 1e-13
 """Residual, relative to the largest impulse."""
 _OTHER = 1e-6
@@ -62,7 +62,7 @@ def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
 
 @kernel
 def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int:
-    """Write the one solution; sought from three starts where friction may allow more than one."""
+    """Write the one solution, by a search from three starts if friction may allow more than one."""
     n = len(u)
     soft = w.copy()
     added = _SOFT * np.max(np.abs(w))
@@ -111,7 +111,7 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
 
 @kernel
 def _solved(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, most: int, backwards: bool) -> bool:
-    """Overwrite x by a solution; False if none is found."""
+    """Overwrite x by a solution. Return False if none is found."""
     sweeps = 4
     for rounds in range(most):
         if _newton(w, u, mu, floor, x):
@@ -177,7 +177,7 @@ def _newton(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats) -> bool:
 
 @kernel
 def _eliminate(a: Floats, x: Floats) -> None:
-    """Overwrite x by the solution of a z = x, and a by its factors; not finite if it is singular."""
+    """Overwrite x by the solution of a z = x, and a by its factors. x is not finite if a is singular."""
     n = len(x)
     for j in range(n):
         p = j
@@ -204,7 +204,7 @@ def _eliminate(a: Floats, x: Floats) -> None:
 def _natural_map(
     w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, residual: Floats, slope: Floats
 ) -> float:
-    """Write what vanishes at a solution, as impulses, and its derivative; return the size of impulses."""
+    """Write the residual, as impulses, and its derivative. Return the size of impulses."""
     n = len(u)
     v = u + w @ x
     slope[:] = 0.0

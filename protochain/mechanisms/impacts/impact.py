@@ -1,8 +1,8 @@
 """Impacts of trees of rigid bodies, with and without loops: instantaneous impulses at points of contact.
 
 M (qd+ - qd-) = G^T L, with G the rows of the points' relative velocities u = G qd, so that u+ = u- + W L,
-W = G M^-1 G^T. After Lidstrom (2015), instantaneous impulses; Keller, J. Appl. Mech. 53:1 (1986); Stronge,
-*Impact Mechanics* (2000); Glocker, Pfeiffer, Nonlinear Dyn. 7:471 (1995).
+W = G M^-1 G^T. After Lidstrom (2015), instantaneous impulses. Keller, J. Appl. Mech. 53:1 (1986). Stronge,
+*Impact Mechanics* (2000). Glocker, Pfeiffer, Nonlinear Dyn. 7:471 (1995).
 """
 
 from collections.abc import Sequence
@@ -44,17 +44,17 @@ class Impact(Value):
     impulse : (k, 3) float
         Impulse on the second body of each point, world axes.
     before, after : (k, 3) float
-        Velocities of the second body relative to the first at each point, world axes; before: when external
+        Velocities of the second body relative to the first at each point, world axes. Before: when external
         impulses have acted.
     compression : (k,) float
-        Normal impulse up to the end of the compression; of points in turn, the sum of all.
+        Normal impulse up to the end of the compression, the sum of all for points in turn.
     loops : (m,) float
         Impulses of the rows of the loops.
     work : float
         Change of the kinetic energy.
     dissipation : float
-        What contacts and closing loops take of it: -P (u- + u+)/2 over their impulses P. By Poisson's and
-        Stronge's laws it is not negative; by Newton's it may be, with friction.
+        Energy loss by contacts and closing loops: -P (u- + u+)/2 over their impulses P. By Poisson's and
+        Stronge's laws it is not negative. By Newton's it may be, with friction.
     """
 
     qd: Floats
@@ -81,22 +81,22 @@ def impact(
     Parameters
     ----------
     factors : Articulated or Bending
-        Rigid bodies, their frames, and factors of M there (``State.factors``); or bodies that bend.
+        Rigid bodies, their frames, and factors of M there (``State.factors``), or bodies that bend.
     qd : (n_v,) float
         Velocities before.
     points : sequence of ContactPoint
         Points of contact, also those that do not approach.
     law : str
         Law of restitution: ``newton`` u_n+ = -e u_n-, ``poisson`` p = (1 + e) p_c, ``stronge`` work of
-        restitution = e^2 times that of compression. Poisson's and Stronge's never add energy.
+        restitution = e^2 times the work of compression. Poisson's and Stronge's never add energy.
     loops : Rows, optional
-        Constraint rows that hold all the time.
+        Constraint rows that act at all times.
     order : str
         Whether several points act ``together``, by Poisson's law, or ``in turn``, as if the bodies were a
         little apart: the fastest first, until none approaches, by any law.
     external : mapping of int to ((3,) float, (3,) float), optional
         Impulses that are given, as of a hammer: body -> world point and impulse on it, world axes. They act
-        first, and may make points approach that did not; points may be none.
+        first, and may make separate points approach. Without points they act alone.
 
     Returns
     -------
@@ -107,14 +107,14 @@ def impact(
     ------
     MechanicsError
         If a point cannot be met, named with the reason: nothing gives way, friction too high for one
-        solution; M singular, rows of loops dependent; unknown laws and orders, and laws other than Poisson's
-        for several points together; of external, bodies that there are not, and what is not finite.
+        solution, M singular, rows of loops dependent, unknown laws and orders, and laws other than Poisson's
+        for several points together, or bodies of ``external`` that are unknown or values that are not finite.
 
     Notes
     -----
     One point: du/dp = W (1, t) over the normal impulse p (:mod:`impulse_path`), exact in the plane. Several
-    together: two complementarity problems, of compression and of restitution (:mod:`complementarity`);
-    velocities are unique, impulses at redundant points those of least norm. Where coefficients of restitution
+    together: two complementarity problems, of compression and of restitution (:mod:`complementarity`).
+    Velocities are unique, impulses at redundant points have the least norm. If coefficients of restitution
     differ, all are lowered by a common factor if the impact would add energy otherwise. O(n + k^2), and the
     solution for k points.
     """
@@ -211,7 +211,7 @@ def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str)
 
 
 def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
-    """(2, 3) float: impulse of one point, and that of its compression (normal)."""
+    """(2, 3) float: impulse of one point, and its (normal) impulse of the compression."""
     out = np.empty(8)
     coefficients = point.friction, point.restitution
     status = impulse_path.follow(
@@ -222,7 +222,7 @@ def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
 
 
 def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = False) -> Floats:
-    """(2, 3 k) float: impulses, and those of the compression; without restitution if plastic."""
+    """(2, 3 k) float: impulses, and impulses of the compression. Without restitution if plastic."""
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
     given = np.zeros(len(points)) if plastic else restitution
@@ -242,7 +242,7 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
 
 
 def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats:
-    """(2, 3 k) float: impulses, and those of the compressions, of one point after the other."""
+    """(2, 3 k) float: impulses, and impulses of the compressions, of one point after the other."""
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
     status, i = impulse_path.follow_in_turn(

@@ -5,8 +5,8 @@ impulse, du/dp = W (1, t). While the point slips, t = -mu u_t/|u_t|. In the vari
 
     d theta/ds = c x (W_tn - mu W_tt c),  d ln|u_t|/ds = c . (W_tn - mu W_tt c),  c = (cos theta, sin theta)
 
-has no singularity where the slip ends (Keller, J. Appl. Mech. 53:1, 1986; Batlle, J. Appl. Mech. 63:168,
-1996). Where theta stays, as in every plane problem, the velocity is linear in p and the piece exact.
+has no singularity at the end of the slip (Keller, J. Appl. Mech. 53:1, 1986, Batlle, J. Appl. Mech. 63:168,
+1996). If theta stays, as in every plane problem, the velocity is linear in p and the segment exact.
 """
 
 import numpy as np
@@ -18,17 +18,17 @@ from protochain.mechanics.tableaux import DORMAND_PRINCE
 NEWTON, POISSON, STRONGE = range(3)
 """Laws of restitution."""
 DONE, IMMOVABLE, JAMMED, LOST, ENDLESS, GOING = range(6)
-"""How a path ended: as it should; nothing gives way along the normal; Newton's law asks for a normal velocity
-that a sticking point cannot have; too many steps; too many turns; not yet."""
+"""Outcome of a path: success, nothing gives way along the normal, Newton's law requires a normal velocity
+that a sticking point cannot have, too many steps, too many turns, or not yet finished."""
 Contact = tuple[float, float, float, float, float, float]
 """W_tn (2), W_tt (its upper triangle) and mu, in units of W_nn."""
 Slip = tuple[float, float]
-"""Tangential velocity or its direction; a tangential impulse per normal one."""
+"""Tangential velocity or its direction, and a tangential impulse per normal one."""
 Phase = tuple[bool, int, float]
-"""Whether it is the restitution; the law; the goal at its end. The state y (6,) is angle and logarithm of the
+"""Whether it is the restitution, the law, the goal at its end. The state y (6,) is angle and logarithm of the
 slip, the impulses, and the work of the normal one."""
 _STRAIGHT, _ROUNDING, _NOTHING = 1e-12, 4e-15, 1e-12
-"""How little the direction of slip turns, to the change of its speed, and to rounding, if it stays; inverse
+"""Bound on the turn of a constant direction of slip, relative to its speed and to rounding. Inverse
 inertia or velocity that is rounding error."""
 _MOST, _TRIALS = 20_000, 200
 """Pieces of one path, and trials of one step. Curved ones end near a direction that stays, after dozens."""
@@ -65,7 +65,7 @@ def _impact(
     of: Contact, slip: Slip, e: float, law: int, least: float, at_rest: float, tolerance: float, y: Floats,
     out: Floats,
 ) -> int:  # fmt: skip
-    """Write the state at the end of compression and restitution, piece by piece; how the path ended."""
+    """Write the state at the end of compression and restitution, segment by segment. Return the outcome."""
     stage, new, mu = np.zeros((7, 6)), np.zeros(6), of[5]
     grip = np.hypot(of[0], of[1]) + mu * (of[2] + of[4])
     phase, turning, stopped = (False, law, 0.0), mu > 0.0, np.hypot(slip[0], slip[1]) <= least
@@ -124,7 +124,7 @@ def _normal_velocity(of: Contact, y: Floats) -> float:
 
 @kernel
 def _slip(of: Contact, start: Slip, least: float, anew: bool, y: Floats) -> tuple[float, Slip]:
-    """Size and direction of the slip; anew, from the impulses, else from angle and logarithm."""
+    """Size and direction of the slip, anew from the impulses, else from angle and logarithm."""
     if not anew:
         return np.exp(y[1]), (np.cos(y[0]), np.sin(y[0]))
     n1, n2, t11, t12, t22, _ = of
@@ -149,7 +149,7 @@ def _slip_rates(of: Contact, s: Slip) -> tuple[float, float]:
 def _straight_piece(
     of: Contact, phase: Phase, t: Slip, length: float, at_rest: float, y: Floats
 ) -> tuple[int, bool]:
-    """Go along a direction that stays, to the end of the phase or of the slip; whether it is the former."""
+    """Follow a constant direction to the end of the phase or of the slip. Return whether it is the former."""
     restoring, law, goal = phase
     u_n, slope = _normal_velocity(of, y), 1.0 + of[0] * t[0] + of[1] * t[1]
     end = _end_of_piece(restoring, law, u_n, slope, goal - _value(phase, u_n, y), y)
@@ -181,7 +181,7 @@ def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -
 def _curved_piece(
     of: Contact, phase: Phase, d: float, tolerance: float, y: Floats, stage: Floats, new: Floats
 ) -> tuple[bool, float]:
-    """Take one step, or, past the end of a phase, the step that ends there; whether so, and the next step."""
+    """Make one step, which ends at the end of a phase. Return whether it has ended, and the next step."""
     before = _value(phase, _normal_velocity(of, y), y) - phase[2]
     factor = 1.0
     for _ in range(_TRIALS):
@@ -201,7 +201,7 @@ def _curved_piece(
 def _step_to_event(
     of: Contact, phase: Phase, d: float, f_low: float, f_high: float, y: Floats, stage: Floats, new: Floats
 ) -> float:
-    """Step, up to d, that ends the phase, by the Illinois method; f is what is beyond the goal."""
+    """Step, up to d, that ends the phase, by the Illinois method. f is the excess over the goal."""
     low, high, f = 0.0, d, f_high
     for _ in range(_TRIALS):
         if abs(f) <= 1e-15 * max(1.0, abs(phase[2])) or high - low <= 1e-15 * high:
@@ -231,7 +231,7 @@ def _value(phase: Phase, u_n: float, y: Floats) -> float:
 
 @kernel
 def _end_of_piece(restoring: bool, law: int, u_n: float, slope: float, left: float, y: Floats) -> float:
-    """Normal impulse to the end of the phase along a straight piece; infinite if there is none."""
+    """Normal impulse to the end of the phase along a straight segment, infinite if there is none."""
     steep = slope > 1e-13
     if restoring and law == POISSON:
         return max(left, 0.0)
@@ -245,7 +245,7 @@ def _end_of_piece(restoring: bool, law: int, u_n: float, slope: float, left: flo
 
 @kernel
 def _curved(of: Contact, y: Floats, d: float, stage: Floats, new: Floats) -> float:
-    """Write the state a step d further; return the estimate of its error."""
+    """Write the state a step d further. Return the estimate of its error."""
     mu = of[5]
     for i in range(7):
         for j in range(6):
@@ -317,7 +317,7 @@ def follow_in_turn(
     w: Floats, u: Floats, mu: Floats, e: Floats, law: int, slow: Floats, tolerance: float, turns: int,
     out: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write impulses, and those of the compressions, of one point after the other, the fastest first."""
+    """Write impulses, and impulses of the compressions, of one point after the other, the fastest first."""
     # out (2, 3 k).
     v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
     out[:] = 0.0

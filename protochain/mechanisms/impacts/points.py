@@ -15,8 +15,8 @@ from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanisms.impacts.bodies import Bending, Bodies, bodies_of, twists_of
 
 _APART, _LOCKED = 1e-12, 1e-13
-"""Speed of approach, relative to those of the bodies there, and inverse inertia, relative to that without
-loops, that are rounding errors."""
+"""Rounding errors: speed of approach, relative to the bodies' speeds, and inverse inertia, relative to it
+without loops."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class ContactPoint(Value):
     name : str
         Name, for messages.
     bodies : tuple of 2 int
-        Bodies, or nodes of bodies that bend; -1 for the world.
+        Bodies, or nodes of bodies that bend, -1 for the world.
     point : (3,) float
         Its world position.
     normal : (3,) float
@@ -41,7 +41,7 @@ class ContactPoint(Value):
     Raises
     ------
     MechanicsError
-        If a number cannot be what it stands for.
+        If a number is not valid for its quantity.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Struck:
     def of(
         cls, factors: Articulated | Bending, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
     ) -> "Struck":
-        """Of points in the frames of the factors; the velocities are those after the loops have closed."""
+        """Of points in the frames of the factors, with the velocities after the loops have closed."""
         bodies = bodies_of(factors)
         axes = np.array([_axes(*point.normal.tolist()) for point in points]).reshape(-1, 3, 3)
         rows = _rows(bodies.origin, points, axes)
@@ -130,7 +130,7 @@ class Struck:
 
 
 def _axes(x: float, y: float, z: float) -> list[list[float]]:
-    """Normal and two directions across it, (3, 3); a plane of two world axes has one of them within."""
+    """Normal and two directions across it, (3, 3). In a plane of two world axes, one of them lies within."""
     a, b, c = abs(x), abs(y), abs(z)
     # What of the world's axis that is most across the normal is across it altogether.
     if a <= b and a <= c:

@@ -20,7 +20,7 @@ def impulse_stress(
     points: Sequence[ContactPoint],
     external: External | None = None,
 ) -> Floats:
-    """Integral of the impulse stress over each body; by its volume, the mean of Cauchy's impulse tensor.
+    """Integral of the impulse stress over each body. By its volume, the mean of Cauchy's impulse tensor.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def impulse_stress(
     qd : (n_v,) float
         Velocities before.
     found : Impact
-        What the impact did.
+        Result of the impact.
     points : sequence of ContactPoint
         Points of contact.
     external : mapping of int to ((3,) float, (3,) float), optional
@@ -38,19 +38,19 @@ def impulse_stress(
     Returns
     -------
     (nb, 3, 3) float
-        Symmetric, world axes; impulse times length, negative where compressed.
+        Symmetric, world axes. Impulse times length, negative in compression.
 
     Raises
     ------
     MechanicsError
-        If the impact had loops, the rows of which do not say where in a body their joints bear; of bodies
-        that bend; or of external, as :func:`impact`.
+        If the impact had loops, whose rows do not give the places of their joints in a body. If bodies
+        bend, or for ``external``, as :func:`impact`.
 
     Notes
     -----
     With impulse stress S, div S = rho dv inside and S n = p on the surface, so that the integral of S is the
     sum of P r^T over impulses P at r, less the integral of rho dv r^T. A hinge bears at the origin of its
-    outward body; of its couple C, which tells of no place, [C]/2 is taken, the part that makes S symmetric.
+    outward body. Its couple C has no place, so the part [C]/2, which makes S symmetric, is used.
     O(n).
     """
     if not isinstance(factors, Articulated):
