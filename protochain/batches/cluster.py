@@ -16,7 +16,7 @@ from protochain.batches.supervise import crew, started_early, supervise
 from protochain.core import defaults
 from protochain.core.checks import at_least, check_fields, limited, number, optional, text
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.processors import processors
 from protochain.core.storage import temporary_stem, writing
 

@@ -26,12 +26,14 @@ class Value:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Fields by which to make it anew."""
-        given = [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
-        made = [dict(value) if isinstance(value, MappingProxyType) else value for value in given]
-        return _remade, (type(self), *made)
+        values_of_fields = [getattr(self, column.name) for column in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
+        arguments = [
+            dict(value) if isinstance(value, MappingProxyType) else value for value in values_of_fields
+        ]
+        return _rebuild, (type(self), *arguments)
 
 
-def _remade(kind: type, *values: Any) -> Any:
+def _rebuild(kind: type, *values: Any) -> Any:
     for value in values:
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
@@ -85,7 +87,7 @@ def finite(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
 
 def cross(a: Floats, b: Floats) -> Floats:
     """Vector products (..., 3) of vectors (..., 3), bit for bit numpy's, which mostly looks at shapes."""
-    (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (a, b))
+    (ax, ay, az), (bx, by, bz) = ((vectors[..., 0], vectors[..., 1], vectors[..., 2]) for vectors in (a, b))
     product = np.empty(np.broadcast(a, b).shape)
     product[..., 0] = ay * bz - az * by
     product[..., 1] = az * bx - ax * bz
@@ -125,8 +127,10 @@ def angle(a: Floats, b: Floats, c: Floats) -> Floats:
 def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     """Dihedrals of points (..., 3), rad, -pi to pi, with the sign of IUPAC. Accurate at every angle."""
     first, axis, last = b - a, c - b, d - c
-    one, other = cross(first, axis), cross(axis, last)
-    return np.asarray(np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, other), dots(one, other)))
+    first_normal, second_normal = cross(first, axis), cross(axis, last)
+    return np.asarray(
+        np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, second_normal), dots(first_normal, second_normal))
+    )
 
 
 def dihedral_slopes(x: Floats, shortest: float = 1e-4) -> Floats:

@@ -50,13 +50,13 @@ class Checkpoint:
         return _plain(self.values[name], name, (int, float))
 
 
-def fitting(found: Any, name: str, shape: tuple[int, ...]) -> Floats:
+def fitting(member: Any, name: str, shape: tuple[int, ...]) -> Floats:
     """Array of a checkpoint that a run can use."""
-    if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
+    if not isinstance(member, np.ndarray) or member.dtype != np.float64 or member.shape != shape:
         raise ValueError(f"{name} is not {shape} numbers")
-    if not (np.abs(found) < 1e100).all():  # Nor would squares of larger ones be.
+    if not (np.abs(member) < 1e100).all():  # Nor would squares of larger ones be.
         raise ValueError(f"{name} is not finite")
-    return found
+    return member
 
 
 def _plain(value: Any, name: str, kinds: tuple[type, ...], least: float = -math.inf) -> Any:
@@ -96,8 +96,8 @@ def checkpoint(
     except ProtochainError:
         raise
     except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        what = f"{type(error).__name__}: {error}"
-        raise ProtochainError(f"{path}: damaged checkpoint ({what}); ", *remedy) from None
+        cause = f"{type(error).__name__}: {error}"
+        raise ProtochainError(f"{path}: damaged checkpoint ({cause}); ", *remedy) from None
 
 
 _DAMAGED = (
@@ -120,8 +120,8 @@ def check_sizes(file: Any, packed: bool = False) -> dict[str, tuple[int, ...]]:
         with file.zip.open(member) as stream:
             shape, _, dtype = head_of(stream)
             claimed = math.prod(shape) * dtype.itemsize
-            most = _DEFLATED * member.compress_size if packed else member.compress_size
-            if claimed != member.file_size - stream.tell() or member.file_size > most:
+            limit = _DEFLATED * member.compress_size if packed else member.compress_size
+            if claimed != member.file_size - stream.tell() or member.file_size > limit:
                 raise ValueError(f"{member.filename}: {claimed} bytes")
             shapes[member.filename.removesuffix(".npy")] = shape
     return shapes

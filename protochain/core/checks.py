@@ -27,7 +27,7 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
         usual = {name: parameter.default for name, parameter in signature.parameters.items()}
-        (more,) = [n for n, p in signature.parameters.items() if p.kind is p.VAR_KEYWORD] or [""]
+        (keywords,) = [n for n, p in signature.parameters.items() if p.kind is p.VAR_KEYWORD] or [""]
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -39,10 +39,10 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 for name in kwargs.keys() - used:
                     refuse_misplaced(function.__name__, name)
                 raise
-            for given in (bound.arguments, bound.arguments.get(more, {})):
+            for arguments in (bound.arguments, bound.arguments.get(keywords, {})):
                 for name, check in checks.items():
-                    if name in given and given[name] is not usual.get(name, inspect.Parameter.empty):
-                        given[name] = check(given[name], name)
+                    if name in arguments and arguments[name] is not usual.get(name, inspect.Parameter.empty):
+                        arguments[name] = check(arguments[name], name)
             return function(*bound.args, **bound.kwargs)
 
         return call
@@ -104,12 +104,12 @@ def acidity_or_auto(value: Any, name: str) -> float | str:
     return AUTO if isinstance(value, str) and value == AUTO else acidity(value, name)
 
 
-def number_in(given: str) -> float | str:
+def number_in(text_or_number: str) -> float | str:
     """Return the number in a text, or the text if it has none."""
     try:
-        return float(given)
+        return float(text_or_number)
     except ValueError:
-        return given
+        return text_or_number
 
 
 def integer(value: Any, name: str) -> int:
@@ -123,10 +123,10 @@ def at_least(least: int) -> Check:
     """Check for a whole number of at least this size."""
 
     def check(value: Any, name: str) -> int:
-        whole = integer(value, name)
-        if whole < least:
-            raise refused(name, whole, f"give at least {least}" if least else "give 0 or more")
-        return whole
+        count = integer(value, name)
+        if count < least:
+            raise refused(name, count, f"give at least {least}" if least else "give 0 or more")
+        return count
 
     return check
 
@@ -135,10 +135,10 @@ def limited(check: Check, allows: Callable[[float], bool], remedy: str, unit: st
     """Check further that a number is in the range of ``allows``, which is False of NaN."""
 
     def narrower(value: Any, name: str) -> Any:
-        found = check(value, name)
-        if not allows(found):
-            raise refused(name, f"{found:g}{unit and ' '}{unit}", remedy)
-        return found
+        number_found = check(value, name)
+        if not allows(number_found):
+            raise refused(name, f"{number_found:g}{unit and ' '}{unit}", remedy)
+        return number_found
 
     return narrower
 
@@ -159,11 +159,11 @@ def plain(value: Any, unit: str, name: str) -> Any:
     # Its module is loaded, or there would be no Quantity; others need not import it.
     units = sys.modules["openmm.unit"]
     above, *below = (getattr(units, name) if name != "1" else units.dimensionless for name in unit.split("/"))
-    wanted = above
-    for each in below:
-        wanted /= each
+    product = above
+    for divisor in below:
+        product /= divisor
     try:
-        return value.value_in_unit(wanted)
+        return value.value_in_unit(product)
     except TypeError:
         raise ProtochainError(Argument(name), f" is in {value.unit}; give it in {unit}") from None
 
@@ -220,9 +220,9 @@ def text(value: Any, name: str) -> str:
     raise refused(name, shown(value), "give a text")
 
 
-def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
+def refuse_unknown(value: str, name: str, choices: Iterable[str]) -> None:
     """Refuse a word that is not among those known."""
-    if value not in (names := [*known]):
+    if value not in (names := [*choices]):
         from difflib import get_close_matches  # needed here alone
 
         near = get_close_matches(value, names, 5, 0.0)
@@ -230,11 +230,11 @@ def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
         raise ProtochainError(Argument(name), f" {excerpt(value)!r} is not known; choose from {listed}")
 
 
-def one_of(known: Iterable[str]) -> Check:
+def one_of(choices: Iterable[str]) -> Check:
     """Check for one of some words."""
 
     def check(value: Any, name: str) -> str:
-        refuse_unknown(text(value, name), name, known)
+        refuse_unknown(text(value, name), name, choices)
         return str(value)
 
     return check
@@ -273,25 +273,27 @@ def sequences(value: Any, name: str) -> str:
     A record is a chain. Records of ProteinMPNN and LigandMPNN are designs of all chains, and so are records
     with ``/`` or ``:`` between chains. ``FILE#2`` is the second design.
     """
-    given = text(str(value) if isinstance(value, Path) else value, name).strip()
-    file, sign, number = (given, "", "") if _is_file(given) else given.rpartition("#")
+    specification = text(str(value) if isinstance(value, Path) else value, name).strip()
+    file, sign, number = (specification, "", "") if _is_file(specification) else specification.rpartition("#")
     if _is_file(file) and (not sign or number.isdecimal()):
-        given = _read_fasta(Path(file), int(number or 0), name)
-    if given and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", given.upper()):
+        specification = _read_fasta(Path(file), int(number or 0), name)
+    if specification and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", specification.upper()):
         raise refused(name, shown(value), "give a FASTA file, or letters, with / between chains")
-    named = (each.rpartition("=") for each in given.split("/"))
-    return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in named)
+    entries = (entry.rpartition("=") for entry in specification.split("/"))
+    return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in entries)
 
 
-def _is_file(given: str) -> bool:
-    return bool(given) and len(given) < 256 and Path(given).is_file()
+def _is_file(name_of_file: str) -> bool:
+    return bool(name_of_file) and len(name_of_file) < 256 and Path(name_of_file).is_file()
 
 
 def _read_fasta(file: Path, number: int, name: str) -> str:
     """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
     records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
     split = [
-        (head, re.split("[/:]", "".join(its.split()).strip("/:*"))) for head, its in records if its.strip()
+        (head, re.split("[/:]", "".join(sequence.split()).strip("/:*")))
+        for head, sequence in records
+        if sequence.strip()
     ]
     are_designs = len(split) > 1 and all(len(letters) > 1 for _, letters in split)
     if not number and not are_designs and not any(_DESIGN.search(head) for head, _ in split):
@@ -302,8 +304,8 @@ def _read_fasta(file: Path, number: int, name: str) -> str:
             for part in letters
         )
     if number > len(split) or (not number and len(split) > 1):
-        what = f"has {len(split)} records; choose one as {file}#{len(split)}"
-        raise refused(name, shown(f"{file}#{number}" if number else str(file)), what)
+        problem = f"has {len(split)} records; choose one as {file}#{len(split)}"
+        raise refused(name, shown(f"{file}#{number}" if number else str(file)), problem)
     return "/".join(split[max(number, 1) - 1][1])
 
 
@@ -311,9 +313,13 @@ _DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidenc
 """What ProteinMPNN and LigandMPNN write above each design."""
 
 
-def force_field_parts(given: str) -> list[str]:
+def force_field_parts(specification: str) -> list[str]:
     """Names and paths of a force field that is given in parts, with commas between."""
-    return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]
+    return (
+        [specification]
+        if Path(specification).exists()
+        else [name.strip() for name in specification.split(",") if name.strip()]
+    )
 
 
 NO_BONDS: Literal["none"] = "none"
@@ -323,27 +329,27 @@ Bond = tuple[str, str] | Literal["none"]
 """Two places, as ``("A:3", "A:40")``, or a single word."""
 
 
-def bonds(given: Any, name: str) -> tuple[Bond, ...]:
+def bonds(argument: Any, name: str) -> tuple[Bond, ...]:
     """Read bonds, ``("A:3", "A:40")``, ``"none"``, ``"A:3-A:40"``, with commas between. Refuse empty ones."""
-    if given is None:
+    if argument is None:
         return ()
-    each = [given] if isinstance(given, str) else given
-    if not isinstance(each, Iterable):
-        raise refused(name, shown(given), "give pairs, as [('A:3', 'A:40')]")
-    bonds = [bond for some in each for bond in (words(some) if isinstance(some, str) else [some])]
+    entries = [argument] if isinstance(argument, str) else argument
+    if not isinstance(entries, Iterable):
+        raise refused(name, shown(argument), "give pairs, as [('A:3', 'A:40')]")
+    bonds = [bond for entry in entries for bond in (words(entry) if isinstance(entry, str) else [entry])]
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in bonds)
     if not read:
         remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
-        raise refused(name, shown(given), *remedy)
+        raise refused(name, shown(argument), *remedy)
     return read
 
 
 def _pair(bond: Any, name: str) -> tuple[str, str]:
     """Read ``A:3-A:40``, with numbers that may be negative, or a pair of places."""
     if isinstance(bond, str):
-        found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
-        if found:
-            return found[1], found[2]
+        matches = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
+        if matches:
+            return matches[1], matches[2]
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
     raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
@@ -353,11 +359,11 @@ CHARGE_RULES = ("nagl", "mmff94", "gasteiger")
 """Methods for the charges of ligands, in addition to a file."""
 
 
-def charges_of_ligands(given: Any, name: str) -> str:
+def charges_of_ligands(argument: Any, name: str) -> str:
     """Return a rule for charges, or the path of a file of them, as text."""
-    if file_name(given, name) in CHARGE_RULES or Path(given).is_file():
-        return str(given)
-    raise refused(name, shown(given), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
+    if file_name(argument, name) in CHARGE_RULES or Path(argument).is_file():
+        return str(argument)
+    raise refused(name, shown(argument), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
 
 
 LigandSource = tuple[str, str]
@@ -366,72 +372,78 @@ MOLECULE_SUFFIXES = (".sdf", ".mol", ".mol2")
 """Of files with small molecules."""
 
 
-def file_and_record(given: str | Path) -> tuple[Path, int]:
+def file_and_record(specification: str | Path) -> tuple[Path, int]:
     """File and number of its molecule in ``FILE.sdf#2``. The number is 0 if the text has none."""
-    file, sign, number = str(given).rpartition("#")
+    file, sign, number = str(specification).rpartition("#")
     is_record = sign and number.isdecimal() and file.lower().endswith(MOLECULE_SUFFIXES)
-    return (Path(file), int(number)) if is_record else (Path(str(given)), 0)
+    return (Path(file), int(number)) if is_record else (Path(str(specification)), 0)
 
 
-def ligands(given: Any, name: str) -> tuple[LigandSource, ...]:
+def ligands(argument: Any, name: str) -> tuple[LigandSource, ...]:
     """Read sources of ligands: a mapping, or one or several of ``NAME=FILE``, ``NAME=SMILES``, ``FILE``."""
-    if given is None:
+    if argument is None:
         return ()
-    if isinstance(given, Mapping):
-        given = [*given.items()]
-    elif isinstance(given, str | Path):
-        given = [given]
-    if not isinstance(given, Iterable):
-        raise refused(name, shown(given), "give names and molecules, as {'LIG': 'ligand.sdf'}")
-    read = tuple(_ligand(each, name) for each in given)
-    named = [its for its, _ in read if its]
-    twice = next((its for its in named if named.count(its) > 1), None)
+    if isinstance(argument, Mapping):
+        argument = [*argument.items()]
+    elif isinstance(argument, str | Path):
+        argument = [argument]
+    if not isinstance(argument, Iterable):
+        raise refused(name, shown(argument), "give names and molecules, as {'LIG': 'ligand.sdf'}")
+    read = tuple(_ligand(ligand, name) for ligand in argument)
+    residue_names = [residue_name for residue_name, _ in read if residue_name]
+    twice = next(
+        (residue_name for residue_name in residue_names if residue_names.count(residue_name) > 1), None
+    )
     if twice:
         raise refused(name, repr(twice), "is given twice; give each name one molecule")
     return read
 
 
-def _ligand(given: Any, name: str) -> LigandSource:
-    last = str(given[-1] if isinstance(given, tuple | list) and given else given).rpartition("=")[2]
+def _ligand(argument: Any, name: str) -> LigandSource:
+    last = str(argument[-1] if isinstance(argument, tuple | list) and argument else argument).rpartition("=")[
+        2
+    ]
     if last.lower().endswith(".pdbqt"):
         to = last[: -len("pdbqt")] + "sdf"
         raise refused(
-            name, shown(given), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
+            name, shown(argument), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
         )
-    if isinstance(given, tuple | list) and len(given) == 2:
-        its, source = given
+    if isinstance(argument, tuple | list) and len(argument) == 2:
+        residue_name, source = argument
     else:
-        its, source = "", given
-        is_file = file_and_record(given)[0].suffix.lower() in MOLECULE_SUFFIXES
-        before, sign, after = str(given).partition("=")
+        residue_name, source = "", argument
+        is_file = file_and_record(argument)[0].suffix.lower() in MOLECULE_SUFFIXES
+        before, sign, after = str(argument).partition("=")
         # ./a=b.sdf is a file.
         if (
             sign
             and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
-            and not (is_file and file_and_record(given)[0].exists())
+            and not (is_file and file_and_record(argument)[0].exists())
         ):
-            its, source = before, after
-        elif not is_file and not Path(str(given)).is_dir():
-            raise refused(name, shown(given), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
-    if isinstance(its, str) and isinstance(source, str | Path) and str(source).strip():
-        return its.strip().upper(), str(source).strip()
-    raise refused(name, shown(given), "give a name and a file or SMILES, as LIG=ligand.sdf")
+            residue_name, source = before, after
+        elif not is_file and not Path(str(argument)).is_dir():
+            raise refused(name, shown(argument), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
+    if isinstance(residue_name, str) and isinstance(source, str | Path) and str(source).strip():
+        return residue_name.strip().upper(), str(source).strip()
+    raise refused(name, shown(argument), "give a name and a file or SMILES, as LIG=ligand.sdf")
 
 
 _SUFFIXES = ", ".join(MOLECULE_SUFFIXES)
 
 
-def ends(given: Any, name: str) -> tuple[str, str]:
+def ends(argument: Any, name: str) -> tuple[str, str]:
     """Read two places: ``("A:1:N", "A:20:C")``, ``"A:1:N-A:20:C"``, or any two with `` - `` between."""
-    if isinstance(given, str):
-        found = re.fullmatch(rf"({_PLACE})-({_PLACE})", given.strip())
-        parts = tuple(part.strip() for part in given.split(" - "))
-        read = found.groups() if found else parts
+    if isinstance(argument, str):
+        matches = re.fullmatch(rf"({_PLACE})-({_PLACE})", argument.strip())
+        parts = tuple(part.strip() for part in argument.split(" - "))
+        read = matches.groups() if matches else parts
     else:
-        read = tuple(given) if isinstance(given, tuple | list) else ()
+        read = tuple(argument) if isinstance(argument, tuple | list) else ()
     if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
         return read[0].strip(), read[1].strip()
-    raise refused(name, shown(given), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
+    raise refused(
+        name, shown(argument), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between"
+    )
 
 
 _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
@@ -440,7 +452,7 @@ _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
 
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
     """Split a text at its commas. Return a sequence of words as it is."""
-    split = value.split(",") if isinstance(value, str) else _listed(value, name)
+    split = value.split(",") if isinstance(value, str) else _list_of_texts(value, name)
     return tuple(word.strip() for word in split if word.strip())
 
 
@@ -453,7 +465,9 @@ def several(value: Any, name: str) -> tuple[Any, ...]:
 
 def kinds(value: str | Iterable[str], name: str) -> str:
     """Return words, given as one text or as a sequence, as one text with blanks between."""
-    return " ".join(re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _listed(value, name))
+    return " ".join(
+        re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _list_of_texts(value, name)
+    )
 
 
 def function(*parameters: str) -> Check:
@@ -462,8 +476,8 @@ def function(*parameters: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if value is None or (callable(value) and _takes(value, len(parameters))):
             return value
-        given = getattr(value, "__qualname__", None) or shown(value)
-        raise refused(name, given, f"give a callable of {', '.join(parameters)}")
+        value_text = getattr(value, "__qualname__", None) or shown(value)
+        raise refused(name, value_text, f"give a callable of {', '.join(parameters)}")
 
     return check
 
@@ -488,9 +502,11 @@ def following(protocol: type, *names: str) -> Check:
 
     def check(value: Any, name: str) -> Any:
         refuse_class(value, name)
-        asked = {n: getattr(protocol, n) for n in names}
-        own = {n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not asked[n]}
-        if lacking := [n for n in names if n not in own]:
+        members = {n: getattr(protocol, n) for n in names}
+        overridden = {
+            n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not members[n]
+        }
+        if lacking := [n for n in names if n not in overridden]:
             raise ProtochainError(
                 f"{name} {type(value).__name__}: has no {', '.join(lacking)}; a {protocol.__name__} has "
                 f"{', '.join(names)}: python.md, 'Methods, restraints and energies of your own'"
@@ -506,12 +522,12 @@ def refuse_class(value: Any, name: str) -> None:
         raise ProtochainError(f"{name} {value.__name__}: is a class; give an object, as {value.__name__}()")
 
 
-def _listed(value: Any, name: str) -> list[str]:
-    found = list(value) if isinstance(value, Iterable) else [value]
-    strange = next((each for each in found if not isinstance(each, str)), None)
+def _list_of_texts(value: Any, name: str) -> list[str]:
+    items = list(value) if isinstance(value, Iterable) else [value]
+    strange = next((item for item in items if not isinstance(item, str)), None)
     if strange is not None or not isinstance(value, Iterable):
         raise refused(name, shown(value), "give words, as one text or a list")
-    return found
+    return items
 
 
 def _takes(value: Any, n: int) -> bool:
@@ -530,11 +546,11 @@ def shown(value: Any) -> str:
     return stated if len(stated) <= 60 else f"of type {type(value).__name__}"
 
 
-def _instead(value: Any, wanted: str, name: str) -> tuple[object, ...]:
+def _instead(value: Any, remedy: str, name: str) -> tuple[object, ...]:
     """Valid values to replace an invalid one. Numbers in a text are shown without their quotes."""
     bare = value.strip() if isinstance(value, str) else ""
     try:
         float(bare)
     except ValueError:
-        return (f"give {wanted}",)
-    return f"give {wanted}, not a text: ", Argument(name), f"={bare}"
+        return (f"give {remedy}",)
+    return f"give {remedy}, not a text: ", Argument(name), f"={bare}"

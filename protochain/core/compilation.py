@@ -181,11 +181,11 @@ class Store:
         """Hold this kernel, so that no other process compiles it too."""
         from filelock import Timeout
 
-        with ExitStack() as held:
+        with ExitStack() as stack:
             if self.kept:
                 # Not all file systems have locks: then the code is compiled twice, and no file half written.
                 with suppress(Timeout, OSError, RuntimeError):
-                    held.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
+                    stack.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
             yield
 
     def try_alone(self) -> bool:
@@ -226,24 +226,26 @@ def _folders(source: Path) -> Iterator[str]:
     """Folders for compiled code in numba's order: NUMBA_CACHE_DIR, __pycache__ (""), the user's cache."""
     # Without a home numba would make a folder named ~ where the program runs.
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~")  # noqa: PTH111  # pathlib raises then
-    beside = source / "__pycache__"
-    writable = os.access(beside if beside.exists() else source, os.W_OK)
+    cache_folder = source / "__pycache__"
+    writable = os.access(cache_folder if cache_folder.exists() else source, os.W_OK)
     if _SETTINGS.CACHE_DIR or writable or Path(home).is_absolute():
         yield _SETTINGS.CACHE_DIR
-    own = _temporary()
-    if own:
-        yield own
+    temporary = _temporary()
+    if temporary:
+        yield temporary
 
 
 @cache
 def _temporary() -> str:
     """Folder for temporary files of this user alone, because the program runs code from it."""
     try:
-        own = Path(tempfile.gettempdir()) / f"protochain-{getattr(os, 'getuid', lambda: 'kernels')()}"
-        own.mkdir(mode=0o700, exist_ok=True)
-        found = own.lstat()
-        mine = not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o077)
-        return str(own) if stat.S_ISDIR(found.st_mode) and mine else ""
+        folder = Path(tempfile.gettempdir()) / f"protochain-{getattr(os, 'getuid', lambda: 'kernels')()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        is_private = not hasattr(os, "getuid") or (
+            status.st_uid == os.getuid() and not status.st_mode & 0o077
+        )
+        return str(folder) if stat.S_ISDIR(status.st_mode) and is_private else ""
     except OSError:
         return ""
 
@@ -276,15 +278,15 @@ def _collect(function: Any, files: set[str], constants: set[str], seen: set[Any]
     seen.add(function)
     files.add(function.__code__.co_filename)
     names = _names(function.__code__)
-    found = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
-    for _, module in list(found):
+    values = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
+    for _, module in list(values):
         if isinstance(module, ModuleType) and module.__name__.startswith("protochain"):
-            found += [(name, getattr(module, name)) for name in names if hasattr(module, name)]
-    for name, value in found:
+            values += [(name, getattr(module, name)) for name in names if hasattr(module, name)]
+    for name, value in values:
         # Kernels, intrinsics, and functions that numba compiles in place.
-        called = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
-        if isinstance(called, FunctionType) and called.__module__.split(".")[0] not in ("numba", "numpy"):
-            _collect(called, files, constants, seen)
+        callee = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+        if isinstance(callee, FunctionType) and callee.__module__.split(".")[0] not in ("numba", "numpy"):
+            _collect(callee, files, constants, seen)
         elif isinstance(value, np.ndarray):
             constants.add(f"{name} {value.dtype} {value.shape} {value.tobytes().hex()}")
         elif isinstance(value, int | float | str | tuple):
@@ -309,11 +311,11 @@ def _without_collection() -> Iterator[None]:
 
 
 @cache
-def _announce(kept: bool) -> None:
+def _announce(is_cached: bool) -> None:
     """Report the reason why the first run waits."""
     if compile_helpers.is_helper():
         return
-    if kept:
+    if is_cached:
         _LOG.warning("compiling kernels for this machine, which keeps them for later runs")
     else:
         _LOG.warning(

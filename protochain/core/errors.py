@@ -115,10 +115,10 @@ class WriteError(ProtochainError):
     def parts(self) -> tuple[object, ...]:
         """The line in parts."""
         path, reason, saved, *then = self.args
-        why = getattr(reason, "strerror", None) or reason
+        cause = getattr(reason, "strerror", None) or reason
         remedy = _REMEDIES.get(getattr(reason, "errno", errno.ENOSPC), "check the path")
         after = (", then ", *then) if then else (", or give another place, and run again",)
-        return (f"{path}: not written ({why}){saved and f'; saved: {saved}'}; {remedy}", *after)
+        return (f"{path}: not written ({cause}){saved and f'; saved: {saved}'}; {remedy}", *after)
 
     def with_saved(self, saved: str, *then: str | Argument) -> "WriteError":
         """Return the same error with a report of the saved files, and a second remedy."""

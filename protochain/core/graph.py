@@ -30,12 +30,12 @@ def both_ways(bonds: Integers) -> Integers:
 
 def bond_angles(bonds: Integers, n: int) -> Integers:
     """(k, 3) int: atoms of every bond angle, its vertex in the middle, sorted by vertex, then the others."""
-    found = [
+    angles = [
         (first, middle, last)
         for middle, around in enumerate(neighbours(bonds, n))
         for first, last in combinations(sorted(around), 2)
     ]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
+    return np.array(angles, dtype=np.int64).reshape(-1, 3)
 
 
 def components(bonds: Integers, n: int) -> Integers:
@@ -48,34 +48,34 @@ def grouped(of: Integers) -> list[Integers]:
     return np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
 
 
-def joined(bonds: Integers, n: int, most: int) -> Integers:
+def joined(bonds: Integers, n: int, n_most: int) -> Integers:
     """(k, 2) int: pairs of n atoms separated by at most so many of the bonds (m, 2), smaller index first."""
     step = _adjacency(both_ways(bonds), n)
     reach, power = step, step
-    for _ in range(most - 1):
+    for _ in range(n_most - 1):
         power = power @ step
         reach = reach + power
-    found = coo_array(reach)
-    upper = found.row < found.col
-    return np.column_stack([found.row[upper], found.col[upper]]).astype(np.int64)
+    pairs = coo_array(reach)
+    upper = pairs.row < pairs.col
+    return np.column_stack([pairs.row[upper], pairs.col[upper]]).astype(np.int64)
 
 
-def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
+def within(bonded: Any, start: _Node, n_most: int) -> set[_Node]:
     """Atoms at most so many bonds away, and the atom itself. ``bonded[atom]`` are the neighbours of one."""
-    found = {start}
-    for _ in range(most):
-        found |= {other for each in found for other in bonded[each]}
-    return found
+    atoms = {start}
+    for _ in range(n_most):
+        atoms |= {neighbour for atom in atoms for neighbour in bonded[atom]}
+    return atoms
 
 
 def beyond(bonded: Any, first: int, second: int) -> set[int]:
     """Atoms on the second's side of a bond, without both. Through a ring they lead back to the first."""
-    found, ahead = {first, second}, [second]
+    atoms, ahead = {first, second}, [second]
     while ahead:
-        fresh = [i for i in bonded[ahead.pop()] if i not in found]
-        found.update(fresh)
+        fresh = [i for i in bonded[ahead.pop()] if i not in atoms]
+        atoms.update(fresh)
         ahead += fresh
-    return found - {first, second}
+    return atoms - {first, second}
 
 
 def _adjacency(bonds: Integers, n: int) -> csr_array:

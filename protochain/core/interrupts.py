@@ -47,15 +47,15 @@ def held_interrupts() -> Iterator[list[int]]:
         yield outer
         return
     noted = _Noted()
-    held = [number for number in _SIGNALS if handlers[number] is signal.default_int_handler]
+    numbers_held = [number for number in _SIGNALS if handlers[number] is signal.default_int_handler]
     if current_thread() is not main_thread():
-        held = []
-    for number in held:
+        numbers_held = []
+    for number in numbers_held:
         signal.signal(number, noted)
     try:
         yield noted
     finally:
-        for number in held:
+        for number in numbers_held:
             if signal.getsignal(number) is noted:
                 signal.signal(number, signal.default_int_handler)
 
@@ -80,11 +80,11 @@ def open_to_interrupts() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def run_interruptible(call: Callable[[], Result], held: bool = False) -> Result:
+def run_interruptible(call: Callable[[], Result], is_deferred: bool = False) -> Result:
     """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile."""
     if current_thread() is not main_thread():
         return call()
-    handlers = [signal.getsignal(number) for number in _SIGNALS] if held else []
+    handlers = [signal.getsignal(number) for number in _SIGNALS] if is_deferred else []
     noted = next((handler for handler in handlers if isinstance(handler, _Noted)), _Noted())
     results: list[Result] = []
     errors: list[BaseException] = []

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 
-def counted(n: int, what: str, several: str = "") -> str:
+def counted(n: int, noun: str, several: str = "") -> str:
     """Return a number and its noun: ``1 round``, ``2 rounds``, or an irregular plural."""
-    return f"{n} {what if n == 1 else several or what + 's'}"
+    return f"{n} {noun if n == 1 else several or noun + 's'}"
 
 
 def excerpt(text: str) -> str:
@@ -16,8 +16,8 @@ def excerpt(text: str) -> str:
 
 def listed(places: Sequence[str], shown: int = 6) -> str:
     """The first of some places, and how many more there are."""
-    more = f" and {len(places) - shown} more" if len(places) > shown else ""
-    return ", ".join(places[:shown]) + more
+    remainder = f" and {len(places) - shown} more" if len(places) > shown else ""
+    return ", ".join(places[:shown]) + remainder
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:

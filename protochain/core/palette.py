@@ -50,6 +50,6 @@ _KNOWN = (
 def looks(names: Iterable[str]) -> dict[str, Look]:
     """Look of each name: of a known method its own, of others those that are left, in order."""
     names = tuple(names)
-    own = {name: _ALL[_KNOWN.index(name)] for name in names if name in _KNOWN}
-    left = cycle([look for look in _ALL if look not in own.values()])
-    return {name: own[name] if name in own else next(left) for name in names}
+    colours = {name: _ALL[_KNOWN.index(name)] for name in names if name in _KNOWN}
+    left = cycle([look for look in _ALL if look not in colours.values()])
+    return {name: colours[name] if name in colours else next(left) for name in names}

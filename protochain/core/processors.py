@@ -13,10 +13,10 @@ def processors() -> int:
     return max(1, min(bound, round(allowed(_CGROUPS, _OWN))))
 
 
-def allowed(root: Path, own: Path) -> float:
+def allowed(root: Path, group_of_process: Path) -> float:
     """Return the processors' worth of time that control groups allow, at most 1e6."""
-    most = 1e6
-    for line in _text(own).splitlines():
+    n_processors = 1e6
+    for line in _text(group_of_process).splitlines():
         _, controllers, path = line.split(":", 2)
         group = Path(path.strip("/"))
         # In a container, its own group is mounted as the root, whatever its path outside.
@@ -29,8 +29,8 @@ def allowed(root: Path, own: Path) -> float:
             else:
                 continue
             if quota.strip().isdigit() and period.strip().isdigit():
-                most = min(most, int(quota) / int(period))
-    return most
+                n_processors = min(n_processors, int(quota) / int(period))
+    return n_processors
 
 
 def _text(path: Path) -> str:

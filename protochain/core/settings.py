@@ -51,23 +51,23 @@ class Setting:
         return field if "/" in name or self.turns_off else name.removeprefix("--").replace("-", "_")
 
 
-def setting(default: Any, help: str, check: Check, kind: Any = str, option: str = "", **more: Any) -> Any:
+def setting(default: Any, help: str, check: Check, kind: Any = str, option: str = "", **metadata: Any) -> Any:
     """Field of a frozen dataclass of settings, with arguments as for :class:`Setting`."""
-    return field(default=default, metadata={"setting": Setting(check, help, kind, option, **more)})
+    return field(default=default, metadata={"setting": Setting(check, help, kind, option, **metadata)})
 
 
 class Settings:
     """Base of frozen dataclasses of settings, whose fields are checked when one is made."""
 
     def __post_init__(self) -> None:
-        check_fields(self, **{name: each.check for name, each in settings_of(type(self))})
+        check_fields(self, **{name: entry.check for name, entry in settings_of(type(self))})
 
 
 def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
     """Names and settings of the fields of a dataclass that were declared by :func:`setting`."""
-    for each in fields(kind):
-        if "setting" in each.metadata:
-            yield each.name, each.metadata["setting"]
+    for column in fields(kind):
+        if "setting" in column.metadata:
+            yield column.name, column.metadata["setting"]
 
 
 def documented(*kinds: type) -> Callable[[Documented], Documented]:
@@ -76,7 +76,7 @@ def documented(*kinds: type) -> Callable[[Documented], Documented]:
     def decorate(target: Documented) -> Documented:
         text = inspect.getdoc(target) or ""  # There is none if Python optimises.
         before, heading, after = text.partition("Parameters\n----------\n")
-        written, end, rest = after.partition("\n\n")
+        written, end, tail = after.partition("\n\n")
         described: Sequence[Any] = kinds or (target,)
         entries = {item.name: _entry(item) for kind in described for item in fields(kind) if item.metadata}
         # An entry of the docstring itself may be of several parameters.
@@ -84,7 +84,7 @@ def documented(*kinds: type) -> Callable[[Documented], Documented]:
             entries |= dict.fromkeys(entry.partition(" : ")[0].split(", "), entry)
         ordered = dict.fromkeys(entries[name] for name in inspect.signature(target).parameters)
         if heading:
-            target.__doc__ = "".join((before, heading, "\n".join(ordered), end, rest, "\n"))
+            target.__doc__ = "".join((before, heading, "\n".join(ordered), end, tail, "\n"))
         return target
 
     return decorate
@@ -99,9 +99,9 @@ def _entry(item: "Field[Any]") -> str:
     return f"{item.name} : {kind}\n{textwrap.indent(textwrap.fill(text, 100), '    ')}"
 
 
-def settings_from(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
+def settings_from(kind: type[Made], arguments: Mapping[str, Any], **other_fields: Any) -> Made:
     """Settings of the arguments of a call by their names. ``more`` are the other fields."""
-    return kind(**{name: given[name] for name, _ in settings_of(kind)}, **more)
+    return kind(**{name: arguments[name] for name, _ in settings_of(kind)}, **other_fields)
 
 
 def given(**options: Any) -> dict[str, Any]:
@@ -120,8 +120,8 @@ def inheriting(
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> Made:
-            named = signature.bind(*args, **kwargs).arguments
-            return build(function, named.pop(first), named)
+            arguments = signature.bind(*args, **kwargs).arguments
+            return build(function, arguments.pop(first), arguments)
 
         return call
 

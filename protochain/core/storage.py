@@ -112,11 +112,11 @@ def temporary_stem() -> str:
 @contextmanager
 def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
     """Reserve a folder for one process. Make it, remove it if empty, and remove temporary files to resume."""
-    made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
+    folders = [parent for parent in (folder, *folder.absolute().parents) if not parent.exists()]
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     try:
-        with _locked(folder / ".lock", f"{folder}: another {kind} is writing to this folder; give another"):
+        with _lock(folder / ".lock", f"{folder}: another {kind} is writing to this folder; give another"):
             for path in folder.rglob(".protochain-*") if resume else ():
                 if _TEMPORARY.fullmatch(path.name) and path.is_dir():
                     shutil.rmtree(path, ignore_errors=True)
@@ -125,8 +125,8 @@ def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
             yield
     finally:
         with suppress(OSError):  # Results are there.
-            for each in made:
-                each.rmdir()
+            for parent in folders:
+                parent.rmdir()
 
 
 @contextmanager
@@ -138,7 +138,7 @@ def claimed_files(*paths: Path) -> Iterator[None]:
                 path.parent.mkdir(parents=True, exist_ok=True)
             digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:32]
             refusal = f"{path}: another run is writing this file; give another name"
-            locks.enter_context(_locked(path.with_name(f".protochain-{digest}.lock"), refusal))
+            locks.enter_context(_lock(path.with_name(f".protochain-{digest}.lock"), refusal))
         yield
 
 
@@ -147,7 +147,7 @@ _LOCKS: set[tuple[Path, int]] = set()
 
 
 @contextmanager
-def _locked(path: Path, refusal: str) -> Iterator[None]:
+def _lock(path: Path, refusal: str) -> Iterator[None]:
     """Lock a file and remove it at the end. Calls inside this context by the same thread have the lock."""
     owner = path.resolve(), get_ident()
     if owner in _LOCKS:
@@ -179,8 +179,8 @@ def _open_locked(path: Path, refusal: str) -> int:
             os.close(file)
             raise ProtochainError(refusal) from None
         except (ImportError, OSError) as error:
-            what = f"{path.parent}: this file system has no locks ({error})"
-            warnings.warn(f"{what}; start no other run that writes here", WriteWarning, stacklevel=2)
+            problem = f"{path.parent}: this file system has no locks ({error})"
+            warnings.warn(f"{problem}; start no other run that writes here", WriteWarning, stacklevel=2)
             return file
         # The process that had the lock before may have removed this file.
         with suppress(FileNotFoundError):

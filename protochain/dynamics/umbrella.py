@@ -15,7 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, finite
 from protochain.core.checks import at_least, checked, instance, quantity, shown
 from protochain.core.errors import Argument, ProtochainError, refused
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 from protochain.dynamics.simulate_chain import simulate
 

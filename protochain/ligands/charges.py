@@ -6,7 +6,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, ForceFieldError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.ligands import nagl
 from protochain.ligands.molecule import Molecule, quietly, to_rdkit
 from protochain.ligands.sources import read, text_of

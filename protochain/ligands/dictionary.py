@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 
 _COLUMNS = {
     "chem_comp_atom": (

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
 from protochain.core.graph import neighbours
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.molecule import Molecule, assembled, place, to_rdkit
 

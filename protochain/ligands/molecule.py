@@ -10,7 +10,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 
 _MOST_ATOMS = 2000

@@ -17,8 +17,8 @@ from scipy.special import expit
 from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats
-from protochain.core.extras import library
 from protochain.core.graph import both_ways
+from protochain.core.optional_libraries import library
 from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly
 
 _MODEL = Path(__file__).with_name("openff-gnn-am1bcc-1.0.0.npz")

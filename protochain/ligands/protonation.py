@@ -21,7 +21,7 @@ import numpy as np
 
 from protochain.core.arrays import Value, read_only
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.molecule import Molecule, from_rdkit, quietly, to_rdkit
 

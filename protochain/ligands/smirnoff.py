@@ -15,8 +15,8 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.errors import Argument, ForceFieldError
-from protochain.core.extras import library
 from protochain.core.graph import neighbours
+from protochain.core.optional_libraries import library
 from protochain.core.storage import regular
 from protochain.ligands.energy import Parameters, Term
 from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly

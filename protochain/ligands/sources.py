@@ -15,8 +15,8 @@ import numpy as np
 from protochain.core.arrays import read_only
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.errors import Argument, StructureError
-from protochain.core.extras import library
 from protochain.core.graph import components
+from protochain.core.optional_libraries import library
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.dictionary import component

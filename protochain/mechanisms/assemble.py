@@ -134,7 +134,7 @@ def assemble(
     """Return the bodies of a tree: ``driven`` has the coordinate and rate of driven hinges at the start."""
     inward, hinge_names = _inward(bodies, hinges), list(hinges)
     bodies, hinges, inward = _with_axes_of_balls(bodies, hinges, inward)
-    order = _ordered(bodies, hinges, inward)
+    order = _order_hinges(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}
     n, listed = len(order), [bodies[name] for name in order]
     parent, kind, pitch, armature = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n), np.zeros(n)
@@ -167,14 +167,14 @@ def assemble(
     offset, placement = np.einsum("bij,bj->bi", above, at), above @ rotation @ turn
     back = turn.swapaxes(1, 2)
     _refuse_free_needles(order, parent, kind, listed)
-    more: dict[str, Any] = {"armature": armature, "nominal": np.array([body.nominal for body in listed])}
+    options: dict[str, Any] = {"armature": armature, "nominal": np.array([body.nominal for body in listed])}
     if driven:
-        more["driven"] = np.array([inward.get(name) in driven for name in order])
+        options["driven"] = np.array([inward.get(name) in driven for name in order])
     try:
         tree = Tree(
             parent, kind, offset, placement, np.array([body.mass for body in listed]),
             np.einsum("bij,bj->bi", back, np.array([body.com for body in listed])),
-            back @ np.array([body.inertia for body in listed]) @ turn, pitch, **more,
+            back @ np.array([body.inertia for body in listed]) @ turn, pitch, **options,
         )  # fmt: skip
     except BodyError as error:
         raise error.by_name(order) from None
@@ -266,12 +266,12 @@ def quaternion(rotation: Floats) -> Floats:
 def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str, str]:
     """Body -> its inward hinge."""
     inward: dict[str, str] = {}
-    known = ", ".join(f'"{name}"' for name in list(bodies)[:12])
+    valid = ", ".join(f'"{name}"' for name in list(bodies)[:12])
     for name, hinge in hinges.items():
         for role, body in (("parent", hinge.parent), ("child", hinge.child)):
             if body not in bodies and (role, body) != ("parent", WORLD):
                 raise MechanicsError(
-                    f'hinge "{name}": its {role} "{body}" is no body; there are {known}; add it by body()'
+                    f'hinge "{name}": its {role} "{body}" is no body; there are {valid}; add it by body()'
                     if body != WORLD
                     else f'hinge "{name}": the world cannot be a child; swap parent and child'
                 )
@@ -292,7 +292,7 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
     return inward
 
 
-def _ordered(
+def _order_hinges(
     bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], inward: Mapping[str, str]
 ) -> tuple[str, ...]:
     """Names such that parents come before children, and branches stay together."""

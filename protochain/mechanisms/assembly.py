@@ -72,7 +72,7 @@ class Assembly:
     @cached_property
     def system(self) -> Equations:
         """The mechanism as integrators see it."""
-        loads = tuple(each.load for each in self.loads)
+        loads = tuple(acting.load for acting in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
         dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
         compiled = all(isinstance(load, Dampers) for load in loads) and self.tree.is_plain
@@ -167,11 +167,11 @@ class Motion:
     def _momenta(self) -> tuple[Floats, Floats]:
         """Momentum and spin, and the sums of their sizes over the bodies, (n, 2)."""
         tree, n = self.model.tree, len(self.time)
-        whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
+        totals, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
         for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
             frames = multibody.pose(tree, q)
             momenta = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
-            both = momenta[:, 3:], momenta[:, :3] + np.cross(frames.origin, momenta[:, 3:])
-            whole[i] = [np.sum(one, axis=0) for one in both]
-            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
-        return read_only(whole), read_only(sizes)
+            linear_and_angular = momenta[:, 3:], momenta[:, :3] + np.cross(frames.origin, momenta[:, 3:])
+            totals[i] = [np.sum(one, axis=0) for one in linear_and_angular]
+            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in linear_and_angular]
+        return read_only(totals), read_only(sizes)

@@ -22,8 +22,8 @@ def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
     b = clamped_roots(k)
     y = b * x[:, None]
     # cosh y - s sinh y = (u e^(y - b) + (1 + s) e^-y) / 2, where u = (1 - s) e^b does not cancel.
-    whole = np.sinh(b) + np.sin(b)
-    u = (np.sin(b) - np.cos(b) - np.exp(-b)) / whole * np.exp(b)
+    denominator = np.sinh(b) + np.sin(b)
+    u = (np.sin(b) - np.cos(b) - np.exp(-b)) / denominator * np.exp(b)
     s = 1.0 - u * np.exp(-b)
     up, down = 0.5 * u * np.exp(y - b), 0.5 * (1.0 + s) * np.exp(-y)
     shape = up + down - np.cos(y) + s * np.sin(y)

@@ -61,7 +61,7 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
             raise MechanicsError(
                 f'bending: "{name}": {shown(sections)}: give Shapes of a body, as assumed_modes()'
             )
-        shapes_of[b] = _turned(sections, bodies.turn[b].T)
+        shapes_of[b] = _rotate(sections, bodies.turn[b].T)
     section = np.full(tree.n_bodies, -1)
     for b, p in enumerate(tree.parent):
         carrier = shapes_of[p] if p >= 0 else None
@@ -107,7 +107,7 @@ class _Forces:
         return energy, pulled
 
 
-def _turned(shapes: Shapes, turn: Floats) -> Shapes:
+def _rotate(shapes: Shapes, turn: Floats) -> Shapes:
     """Shapes along other axes: vectors v become turn v."""
     return Shapes(
         shapes.place @ turn.T, shapes.mass, turn @ shapes.inertia @ turn.T,

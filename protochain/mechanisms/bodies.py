@@ -101,9 +101,9 @@ class Bodies:
         """
         b = self.hinge(hinge, asking)
         if self.tree.v_start[b] == self.tree.v_start[b + 1]:
-            raise MechanicsError(f'{_asked(asking)}hinge "{hinge}" is fixed and has no coordinate')
+            raise MechanicsError(f'{_prefix(asking)}hinge "{hinge}" is fixed and has no coordinate')
         if self.tree.kind[b] == HingeKind.BALL_AXIS:
-            raise MechanicsError(f'{_asked(asking)}hinge "{hinge}" is a ball and has no single coordinate')
+            raise MechanicsError(f'{_prefix(asking)}hinge "{hinge}" is a ball and has no single coordinate')
         return int(self.tree.q_start[b]), int(self.tree.v_start[b])
 
     def ball(self, hinge: str) -> tuple[slice, slice] | None:
@@ -243,9 +243,9 @@ class State:
 def _of(numbers: Mapping[str, int], name: str, kind: str, asking: str) -> int:
     if isinstance(name, str) and name in numbers:
         return numbers[name]
-    known = ", ".join(f'"{known_name}"' for known_name in list(numbers)[:12]) or "none"
-    raise MechanicsError(f'{_asked(asking)}there is no {kind} "{name}"; there are {known}')
+    names_known = ", ".join(f'"{known_name}"' for known_name in list(numbers)[:12]) or "none"
+    raise MechanicsError(f'{_prefix(asking)}there is no {kind} "{name}"; there are {names_known}')
 
 
-def _asked(asking: str) -> str:
+def _prefix(asking: str) -> str:
     return f"{asking}: " if asking else ""

@@ -64,11 +64,11 @@ class Bushing(Between):
         ends, points = self.ends(bodies)
         a, b = ends[0].tolist()
         # The axes of b as they lie in a at rest.
-        rest = self.rotation
-        if rest is None:
-            rest = bodies.built.rotation(self.a[0]).T @ bodies.built.rotation(self.b[0])
+        rest_rotation = self.rotation
+        if rest_rotation is None:
+            rest_rotation = bodies.built.rotation(self.a[0]).T @ bodies.built.rotation(self.b[0])
         row = Bushings(
-            np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest]),
+            np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest_rotation]),
             read_only([bodies.axes(b)]), read_only([self.stiffness]), read_only([self.damping]),
         )  # fmt: skip
         elastic, damping = row if np.any(self.stiffness) else None, row if np.any(self.damping) else None

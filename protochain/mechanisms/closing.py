@@ -116,7 +116,7 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     if not closings:
         return bodies
     tree = bodies.tree
-    fixed, q, undriven = _given(bodies), bodies.q, tree.undriven_v
+    fixed, q, undriven = _given_rates(bodies), bodies.q, tree.undriven_v
     for approached in _approaches(bodies, closings):
         parts = [joint.bind(bodies) for joint in approached]
         of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
@@ -126,9 +126,9 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
         }
         joints, nearby = LoopJoints(**columns), replace(bodies, q=q)
         # What was given is kept, unless the loops close with what was not.
-        assembled, worst = _assembled(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(fixed)))
+        assembled, worst = _assemble(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(fixed)))
         if assembled is None:
-            assembled, worst = _assembled(nearby, joints, undriven)
+            assembled, worst = _assemble(nearby, joints, undriven)
         if assembled is None:
             raise MechanicsError(
                 f"{closings[of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of "
@@ -169,14 +169,14 @@ def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.n
     def rank(q: Floats) -> int:
         return _rank(_matrix(bodies, joints, q, undriven))
 
-    every = np.arange(bodies.tree.n_v)
-    away = _away(every)
-    if rank(open_ := _moved(bodies, q, every, away)) == rank(q):
+    all_freedoms = np.arange(bodies.tree.n_v)
+    away = _away(all_freedoms)
+    if rank(open_ := _displace(bodies, q, all_freedoms, away)) == rank(q):
         return None
     # Elsewhere on the loops, by drives too: the start may be a dead point.
-    free = null_space(_matrix(bodies, joints, q, every), rcond=1e-6)
-    displaced = replace(bodies, q=_moved(bodies, q, every, free @ (free.T @ away)))
-    elsewhere, _ = _assembled(displaced, joints, every)
+    free = null_space(_matrix(bodies, joints, q, all_freedoms), rcond=1e-6)
+    displaced = replace(bodies, q=_displace(bodies, q, all_freedoms, free @ (free.T @ away)))
+    elsewhere, _ = _assemble(displaced, joints, all_freedoms)
     if elsewhere is None or rank(open_) == (closed_ := rank(elsewhere)):
         return None
     return closed_
@@ -196,7 +196,7 @@ def _away(moves: np.ndarray) -> Floats:
     return np.asarray(_ASIDE * np.random.default_rng(0).normal(size=len(moves)))
 
 
-def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
+def _displace(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
     """Coordinates after these freedoms have moved, in radians and sizes of the tree."""
     step = np.zeros(bodies.tree.n_v)
     step[moves] = by
@@ -205,10 +205,10 @@ def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
 
 def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
     """Coordinates near q that close the loops by hinges without drives. None beyond a dead point."""
-    return _assembled(replace(bodies, q=q), joints, bodies.tree.undriven_v)[0]
+    return _assemble(replace(bodies, q=q), joints, bodies.tree.undriven_v)[0]
 
 
-def _given(bodies: Bodies) -> np.ndarray:
+def _given_rates(bodies: Bodies) -> np.ndarray:
     """(n_v,) bool: freedoms whose coordinates are not zero, and the places of free bodies."""
     tree = bodies.tree
     is_given = np.zeros(tree.n_v, dtype=bool)
@@ -221,7 +221,7 @@ def _given(bodies: Bodies) -> np.ndarray:
     return is_given
 
 
-def _assembled(
+def _assemble(
     bodies: Bodies, joints: LoopJoints, moves: np.ndarray
 ) -> tuple[Floats | None, tuple[int, float]]:
     """Coordinates that close the loops by these freedoms, or None. The worst equation, its error."""
@@ -236,7 +236,7 @@ def _assembled(
             break
         step = least_change(_matrix(bodies, joints, q, moves), -error / units)
         step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
-        q = _moved(bodies, q, moves, step)
+        q = _displace(bodies, q, moves, step)
     return None, (worst, abs(float(error[worst])))
 
 
@@ -254,7 +254,7 @@ def _rates(
     worst = int(np.argmax(left))
     if left[worst] > _CONTRADICTED * np.max(np.abs(rates), initial=0.0):
         by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
-        displaced = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
+        displaced = _matrix(bodies, joints, _displace(bodies, q, follow, _away(follow)), follow)
         dead = joints.rank is None and _rank(g[:, follow]) < _rank(displaced)
         where, remedy = "", "give those of fewer hinges: the others follow"
         if dead:

@@ -188,7 +188,7 @@ class Contact(Named):
     called: ClassVar[str] = "contact"
 
     balls: Sequence[Ball]
-    other: Other
+    obstacle: Other
     law: Law
     friction: Friction | None = None
 

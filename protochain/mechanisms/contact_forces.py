@@ -76,14 +76,14 @@ class ContactForces:
 
     def stretches(self, frames: Frames, touches: Touches) -> Floats:
         """(k, 3) float: springs of friction, zero for pairs without an anchor."""
-        apart = np.zeros((len(touches.pair), 3))
+        separation = np.zeros((len(touches.pair), 3))
         if len(self.anchors.pair):
             arms, ends = self.anchors.arms, touches.ends
             _stretch(
                 frames.rotation, frames.origin, touches.pair, ends, touches.normal, self.anchors.pair, arms,
-                apart,
+                separation,
             )  # fmt: skip
-        return apart
+        return separation
 
     def begin(self, start: Phase) -> None:
         """Begin a run. If it continues the last run, it has its anchors."""
@@ -162,8 +162,8 @@ def _forces(
     closing = -dot(moving, normal)
     pressed = max(0.0, elastic * (1.0 + constants[DAMPING] * closing))
     slip = add(moving, scale(closing, normal))
-    wanted = add(scale(-constants[SPRING], stretch), scale(-constants[DASHPOT], slip))
-    return elastic, pressed, slip, wanted
+    trial = add(scale(-constants[SPRING], stretch), scale(-constants[DASHPOT], slip))
+    return elastic, pressed, slip, trial
 
 
 @kernel
@@ -175,9 +175,9 @@ def _resist(
     for k in range(len(depth)):
         a, b, at, out = ends[k, 0], ends[k, 1], algebra.vector(place, k), algebra.vector(normal, k)
         moving = _relative(origin, twists, a, b, at)
-        elastic, pressed, _, wanted = _forces(moving, out, depth[k], algebra.vector(stretch, k), constants)
-        size, most = np.sqrt(dot(wanted, wanted)), constants[FRICTION] * pressed
-        force = add(scale(pressed - elastic, out), scale(most / size if size > most else 1.0, wanted))
+        elastic, pressed, _, trial = _forces(moving, out, depth[k], algebra.vector(stretch, k), constants)
+        size, limit = np.sqrt(dot(trial, trial)), constants[FRICTION] * pressed
+        force = add(scale(pressed - elastic, out), scale(limit / size if size > limit else 1.0, trial))
         _apply(force, origin, a, b, at, wrenches)
 
 
@@ -193,9 +193,9 @@ def _drag(
         moving = _relative(origin, twists, a, b, at)
         _, pressed, _, _ = _forces(moving, algebra.vector(normal, k), depth[k], spring, constants)
         pull = constants[SPRING] * np.sqrt(dot(spring, spring))
-        most = constants[FRICTION] * pressed
-        if pull > most:
-            spring = scale(most / pull, spring)
+        limit = constants[FRICTION] * pressed
+        if pull > limit:
+            spring = scale(limit / pull, spring)
         algebra.put(_inside(rotation, origin, a, at), arms, k, 0)
         algebra.put(_inside(rotation, origin, b, subtract(at, spring)), arms, k, 3)
 
@@ -211,7 +211,7 @@ def _inside(rotation: Floats, origin: Floats, b: int, place: Vector) -> Vector:
 @kernel
 def _stretch(
     rotation: Floats, origin: Floats, pair: Integers, ends: Integers, normal: Floats, anchored: Integers,
-    arms: Floats, apart: Floats,
+    arms: Floats, separation: Floats,
 ) -> None:  # fmt: skip
     """Write the springs of friction from their anchors, for pairs in order."""
     # A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
@@ -231,4 +231,4 @@ def _stretch(
             _, place_a = end_of(rotation, origin, ends[k, 0], algebra.vector(arms, anchor, 0))
             _, place_b = end_of(rotation, origin, ends[k, 1], algebra.vector(arms, anchor, 3))
             spring, out = subtract(place_a, place_b), algebra.vector(normal, k)
-            algebra.put(subtract(spring, scale(dot(spring, out), out)), apart, k, 0)
+            algebra.put(subtract(spring, scale(dot(spring, out), out)), separation, k, 0)

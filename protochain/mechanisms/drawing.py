@@ -135,7 +135,7 @@ class Drawing(NamedTuple):
 def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
     """Return what there is to draw of rows of a run."""
     model, bodies = run.model, run.model.bodies
-    outlines = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
+    outlines = tuple(_default_shapes(model) if shapes is None else _check_shapes(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
     origin = np.array([each.origin for each in frames])
     rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
@@ -183,7 +183,7 @@ def corners(block: Block) -> Floats:
     return np.asarray(block.at, dtype=float) + signs * np.asarray(block.edges, dtype=float)
 
 
-def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
+def _check_shapes(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
     """Shapes of bodies that are there."""
     remedy = 'give a list of Ball, Rod and Block, as [Block("plate", (1, 1, 0.1))]'
     if isinstance(shapes, Shape) or not isinstance(shapes, Sequence) or isinstance(shapes, str):
@@ -195,11 +195,11 @@ def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
     return shapes
 
 
-def _derived(model: Assembly) -> Iterator[Shape]:
+def _default_shapes(model: Assembly) -> Iterator[Shape]:
     """Default shapes: rods to joints and elements, balls of contacts, else blocks or balls."""
     # A block or ball has the body's moments of inertia.
     tree, bodies = model.tree, model.bodies
-    joined = _joined(model)
+    joined = _joint_points(model)
     touching = {b: [] for b in range(tree.n_bodies)}  # type: dict[int, list[Ball]]
     for part in model.conservative:
         if isinstance(part, ContactForces):
@@ -222,15 +222,17 @@ def _derived(model: Assembly) -> Iterator[Shape]:
             yield from _like(name, com, bodies.turn[b] @ tree.inertia[b] @ bodies.turn[b].T / tree.mass[b])
 
 
-def _joined(model: Assembly) -> list[list[Floats]]:
+def _joint_points(model: Assembly) -> list[list[Floats]]:
     """Points of each body, in its own axes, at which other bodies, loops or springs are joined."""
     tree, bodies = model.tree, model.bodies
     joints: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
 
     def add(b: int, at: Floats) -> None:
-        own = bodies.turn[b] @ at if b >= 0 else at
-        if b >= 0 and not any(np.allclose(own, other, atol=_NEAR * tree.size) for other in joints[b]):
-            joints[b].append(own)
+        point = bodies.turn[b] @ at if b >= 0 else at
+        if b >= 0 and not any(
+            np.allclose(point, joint_point, atol=_NEAR * tree.size) for joint_point in joints[b]
+        ):
+            joints[b].append(point)
 
     for b in range(tree.n_bodies):
         if tree.kind[b] != HingeKind.FREE:

@@ -68,8 +68,8 @@ def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None
         of, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
         driven = [hinge for hinge, b in bodies.hinges.items() if tree.v_start[b] in tree.driven_v]
         name = sorted(driven, key=bodies.hinge)[k]
-        what, rate = ("coordinate", "rate") if of == 0 else ("rate", "acceleration")
+        noun, rate = ("coordinate", "rate") if of == 0 else ("rate", "acceleration")
         raise MechanicsError(
-            f'drive of hinge "{name}": at time {time:g} its {what} changes by {change[of, k]:g} per time, '
+            f'drive of hinge "{name}": at time {time:g} its {noun} changes by {change[of, k]:g} per time, '
             f"but its {rate} is {at[of + 1, k]:g}; give the derivative"
         )

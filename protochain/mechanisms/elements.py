@@ -188,7 +188,10 @@ class Rows:
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> Self:
         """All rows of several."""
-        columns = zip(*([getattr(part, each.name) for each in fields(cls)] for part in parts), strict=True)
+        columns = zip(
+            *([getattr(part, column_field.name) for column_field in fields(cls)] for part in parts),
+            strict=True,
+        )
         return cls(*(read_only(np.concatenate(column), column[0].dtype) for column in columns))
 
 
@@ -197,7 +200,10 @@ def joined(parts: Iterable[Any]) -> list[Any]:
     kinds: dict[Any, list[Any]] = {}
     for part in parts:
         kinds.setdefault(type(part) if isinstance(part, Rows) else id(part), []).append(part)
-    return [own[0] if len(own) == 1 else own[0].joined(own) for own in kinds.values()]
+    return [
+        parts_of_kind[0] if len(parts_of_kind) == 1 else parts_of_kind[0].joined(parts_of_kind)
+        for parts_of_kind in kinds.values()
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,9 +60,9 @@ class Event(Named):
     passes: bool = False
 
     def __post_init__(self) -> None:
-        for what in ("value", "jump"):
-            if not callable(getattr(self, what)):
-                raise MechanicsError(f"{self.label}: its {what} must be a function of the state")
+        for name_of_callable in ("value", "jump"):
+            if not callable(getattr(self, name_of_callable)):
+                raise MechanicsError(f"{self.label}: its {name_of_callable} must be a function of the state")
 
     def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
         """Return it for ``march``, which adds it to the list when it happens."""

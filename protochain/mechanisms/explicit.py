@@ -50,11 +50,11 @@ class Acts:
     def of(cls, parts: Sequence[Conservative], dampers: Sequence[Damping]) -> Self | None:
         """Of elements. None if one is of another kind."""
         weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
-        rest = [part for part in parts if not isinstance(part, Gravity)]
-        if not all(isinstance(part, Springs | Torsions) for part in (*rest, *dampers)):
+        other_parts = [part for part in parts if not isinstance(part, Gravity)]
+        if not all(isinstance(part, Springs | Torsions) for part in (*other_parts, *dampers)):
             return None
         gravity = read_only(sum(weights, np.zeros(3)))
-        return cls((gravity, *_rows(rest)), _rows(dampers))
+        return cls((gravity, *_rows(other_parts)), _rows(dampers))
 
 
 def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
@@ -87,8 +87,10 @@ class InOneKernel(Equations):
         tree = self.tree
         start, speed = floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
         # Copies may be written to, as in a march: the step is compiled once.
-        done, *state, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
-        if not done:
+        is_possible, *state, moved, quickened = _step(
+            h, tableau.arrays, self._arrays, start.copy(), speed.copy()
+        )
+        if not is_possible:
             return super().advance(tableau, at, h)
         return self._phase(state, at.time + h, at.work), moved, quickened
 
@@ -101,27 +103,27 @@ class InOneKernel(Equations):
         if steps < 1 or not len(at.q):
             return [], at, 0
         work = at.work.sum()
-        taken, end, rows = _march(
+        n_taken, end, rows = _march(
             h, method.tableau.arrays, self._arrays, floats(at.q, (self.tree.n_q,), "q"),
             floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, every,
             getattr(method, "tolerance", 0.0), method.order, self.units,
         )  # fmt: skip
-        if not taken:
+        if not n_taken:
             return [], at, 0
-        times, q, qd, p, energies, works = (column[: taken // every] for column in rows)
+        times, q, qd, p, energies, works = (column[: n_taken // every] for column in rows)
         worked = works[:, None] if len(at.work) else np.empty((len(works), 0))
         listed = zip(times.tolist(), q, qd, p, energies.tolist(), worked, [0.0] * len(works), strict=True)
         *state, total, time = end
-        return list(listed), self._phase((*state, total - work), time, at.work), taken
+        return list(listed), self._phase((*state, total - work), time, at.work), n_taken
 
     def _phase(self, state: Sequence[Any], time: float, work: Floats) -> Phase:
         """Phase at the end of steps, after work before them."""
         q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, added = state
         frames = Frames(frozen(rotation), frozen(origin))
-        there = Articulated(self.tree, frames, *map(frozen, (packed, gain, pivot, root)))
+        factors_there = Articulated(self.tree, frames, *map(frozen, (packed, gain, pivot, root)))
         if not self.loads:
-            return Phase(q, qd, p, energy, torque, there, time, work)
-        return Phase(q, qd, p, energy, torque, there, time, work + added, damped[None])
+            return Phase(q, qd, p, energy, torque, factors_there, time, work)
+        return Phase(q, qd, p, energy, torque, factors_there, time, work + added, damped[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,45 +142,45 @@ def _march(
     time: float, steps: int, every: int, tolerance: float, order: int, units: Floats,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
-    n, total, now, taken = steps // every, work, time, 0
+    n, total, now, n_taken = steps // every, work, time, 0
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
     last = _step(0.0, tableau, arrays, start.copy(), speed.copy())
     for i in range(steps):
-        here, possible, done, spent, part = last, True, 0.0, total, h
+        current, possible, elapsed, spent, part = last, True, 0.0, total, h
         for _ in range(_MOST):
-            if not abs(h - done) > 1e-12 * abs(h):
+            if not abs(h - elapsed) > 1e-12 * abs(h):
                 break
-            part = part if abs(part) < abs(h - done) else h - done
+            part = part if abs(part) < abs(h - elapsed) else h - elapsed
             if abs(part) <= _LEAST * abs(h):
                 possible = False
                 break
-            tried = _step(part, tableau, arrays, here[1], here[2])
+            tried = _step(part, tableau, arrays, current[1], current[2])
             size = 0.0 if tried[0] else np.inf
             if tolerance > 0.0 and tried[0]:
                 for k in range(len(units)):
-                    wrong = max(abs(tried[14][k]), abs(h) * abs(tried[15][k])) / units[k]
-                    size = max(size, wrong / tolerance) if wrong < np.inf else np.inf
+                    error_of_step = max(abs(tried[14][k]), abs(h) * abs(tried[15][k])) / units[k]
+                    size = max(size, error_of_step / tolerance) if error_of_step < np.inf else np.inf
             # As in_substeps: 0.9 of the estimated substep, within bounds.
             factor = 5.0 if size == 0.0 else min(5.0, max(0.2, 0.9 * size ** (-1.0 / order)))
             if size <= 1.0:
-                here, done, spent = tried, done + part, spent + tried[13]
+                current, elapsed, spent = tried, elapsed + part, spent + tried[13]
             else:
                 factor = min(factor, 0.9)
             part *= factor
             if tolerance == 0.0 and not tried[0]:
                 possible = False
                 break
-        if not possible or abs(h - done) > 1e-12 * abs(h):
+        if not possible or abs(h - elapsed) > 1e-12 * abs(h):
             break
-        last, total, now, taken = here, spent, now + h, i + 1
-        if taken % every == 0:
+        last, total, now, n_taken = current, spent, now + h, i + 1
+        if n_taken % every == 0:
             k = i // every
             times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
             energies[k], works[k] = last[4], total
     (_, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _) = last
     end = q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, total, now
-    return taken, end, (times, qs, qds, ps, energies, works)
+    return n_taken, end, (times, qs, qds, ps, energies, works)
 
 
 @kernel
@@ -188,29 +190,29 @@ def _step(
     """Take a step, and close the loops."""
     # -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
     # torques of dampers, and their work; errors of displacement and velocities.
-    (a, b, wrong), (tree, acts, dampers, joints) = tableau, arrays
+    (a, b, error_weights), (tree, acts, dampers, joints) = tableau, arrays
     links, bodies, _ = tree
     n, n_v, s = len(bodies), len(speed), len(b)
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
     gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
     frames, factors = (rotation, origin), (packed, gain, pivot, root)
-    wrenches, loads, held, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
+    wrenches, loads, torques_damped, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
     slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
     damped, twists = np.zeros(n_v), np.empty((n, 6))
-    done, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
+    is_possible, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
     # After the stages the step itself; after the step, as often as loops need, what closes them.
     for stage in range(s + 1 + ITERATIONS):
         i, inside = min(stage, s), stage < s
         if stage <= s:
             _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
         kinematics.outward_frames(links, bodies, q, rotation, origin)
-        done, energy = _act(tree, acts, frames, q, wrenches, x)
+        is_possible, energy = _act(tree, acts, frames, q, wrenches, x)
         if inside and len(dampers[0]) + len(dampers[3]) > 0:
-            work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, held)
+            work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, torques_damped)
             wrenches += loads
-            x += held
-        if not (done and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
-            done = False
+            x += torques_damped
+        if not (is_possible and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
+            is_possible = False
             break
         if inside:
             articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
@@ -219,31 +221,31 @@ def _step(
             if inside:
                 continue
             break
-        gap = _hold(inside, tree, joints, frames, factors, qd, x, loads, held)
+        gap = _satisfy_joints(inside, tree, joints, frames, factors, qd, x, loads, torques_damped)
         if inside:
-            rates[i] += held
+            rates[i] += torques_damped
         elif gap <= CLOSED:
-            qd += held
+            qd += torques_damped
             break
         else:
-            done = stage < s + ITERATIONS
-            kinematics.move_along(links, held, q)
+            is_possible = stage < s + ITERATIONS
+            kinematics.move_along(links, torques_damped, q)
     torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
-    if done:
+    if is_possible:
         _act(tree, acts, frames, q, wrenches, x)
         kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
         torque += x
         if len(dampers[0]) + len(dampers[3]) > 0:
-            _damp(tree, dampers, frames, qd, twists, loads, damped, held)
+            _damp(tree, dampers, frames, qd, twists, loads, damped, torques_damped)
             torque += damped
-        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, held)
+        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, torques_damped)
     for j in range(s):
         for k in range(n_v):
-            moved[k] += h * wrong[j] * slopes[j, k]
-            quickened[k] += h * wrong[j] * rates[j, k]
+            moved[k] += h * error_weights[j] * slopes[j, k]
+            quickened[k] += h * error_weights[j] * rates[j, k]
     return (
-        done, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work, moved,
-        quickened,
+        is_possible, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work,
+        moved, quickened,
     )  # fmt: skip
 
 
@@ -315,7 +317,7 @@ def _factors_at(
 
 
 @kernel
-def _hold(
+def _satisfy_joints(
     inside: bool, tree: tuple[Any, ...], joints: tuple[Any, ...], frames: tuple[Floats, Floats],
     factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, correction: Floats,
 ) -> float:  # fmt: skip

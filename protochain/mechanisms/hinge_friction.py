@@ -96,16 +96,16 @@ class Rubbing(NamedTuple):
         return -(self.torque + self.arm * force) * float(np.tanh(rate / self.speed)) - self.damping * rate
 
 
-def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
+def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
     """Return the friction of all hinges as one load, for a mechanism without it."""
     # Forces that hinges transmit change linearly with the torques of friction, which change with these: a
     # fixed point of as many numbers as there are hinges whose friction depends on forces.
     pressed = [hinge for hinge in hinges if hinge.arm]
-    system, tree = others.system, others.tree
+    system, tree = model.system, model.tree
 
     def forces(at: Phase) -> Floats:
         """(k, 3) float: across the axes."""
-        across = transmitted(others, at).hinges[[hinge.body for hinge in pressed], 3:]
+        across = transmitted(model, at).hinges[[hinge.body for hinge in pressed], 3:]
         axes = at.factors.frames.rotation[[hinge.body for hinge in pressed], :, 2]
         return np.asarray(across - np.sum(across * axes, axis=1)[:, None] * axes)
 
@@ -116,23 +116,23 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
         torque = torque + _torques(hinges, qd, {})
         at = Phase(q, qd, qd, 0.0, torque, factors, time, loads=loads)
         alone, units = forces(at), np.eye(tree.n_v)
-        more = [forces(replace(at, torque=torque + units[hinge.freedom])) - alone for hinge in pressed]
+        changes = [forces(replace(at, torque=torque + units[hinge.freedom])) - alone for hinge in pressed]
         size = np.linalg.norm(alone, axis=1)
         slip = np.array([hinge.against(qd, 1.0) - hinge.against(qd) for hinge in pressed])
         for _ in range(_ITERATIONS):
-            before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", more, slip * size), axis=1)
+            before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", changes, slip * size), axis=1)
             if np.max(np.abs(size - before)) <= _SAME * np.max(size):
                 return size
         label = pressed[int(np.argmax(np.abs(size - before)))].label
         raise MechanicsError(f"{label}: it jams at time {time:g}, where no force of its hinge is in balance "
                              "with its friction; give a smaller coefficient or radius")  # fmt: skip
 
-    def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+    def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         pressing = sizes(time, q, qd) if pressed else ()
         by_freedom = {hinge.freedom: size for hinge, size in zip(pressed, pressing, strict=True)}
         return Applied(torques=_torques(hinges, qd, by_freedom))
 
-    return Load(applied)
+    return Load(apply)
 
 
 def _torques(hinges: Sequence[Rubbing], qd: Floats, forces: Mapping[int, float]) -> Floats:

@@ -99,14 +99,14 @@ def linearise(
         if not callable(function) or n_parameters(function) not in (1, 2):
             raise MechanicsError(f"output {shown(function)}: give a function of the state")
 
-    def seen(state: State, qdd: Floats) -> Floats:
-        given = (state, qdd)
-        values = [answer("output", output, *given[: n_parameters(output)]) for output in outputs]
+    def observe(state: State, qdd: Floats) -> Floats:
+        arguments = (state, qdd)
+        values = [answer("output", output, *arguments[: n_parameters(output)]) for output in outputs]
         return np.array([number(value, "output") for value in values])
 
-    whole, k = _about(model, at, seen, freedoms)
+    matrix, k = _about(model, at, observe, freedoms)
     return Linear(
-        whole[: 2 * k, : 2 * k], whole[: 2 * k, 2 * k :], whole[2 * k :, : 2 * k], whole[2 * k :, 2 * k :]
+        matrix[: 2 * k, : 2 * k], matrix[: 2 * k, 2 * k :], matrix[2 * k :, : 2 * k], matrix[2 * k :, 2 * k :]
     )
 
 
@@ -153,12 +153,12 @@ class _Nearby:
     def lack(self, move: Floats, rate: Floats, qdd: Floats) -> Floats:
         """(k,) float: forces along the directions there, less the forces of accelerations along them here."""
         model, system = self.model, self.model.system
-        q, qd, factors, there = self.place(move, rate)
+        q, qd, factors, directions = self.place(move, rate)
         torque, joints = system.forces(self.at.time, q, qd, factors)[1], model.bodies.joints
         if joints is not None:
             bends = joints.accelerations(model.tree, factors.frames, qd, np.zeros_like(qd))
             qdd = qdd + self.follow(factors, qdd, bends)
-        return np.asarray(there.T @ (torque - system.inverse_dynamics(q, qd, qdd)))
+        return np.asarray(directions.T @ (torque - system.inverse_dynamics(q, qd, qdd)))
 
     def slopes(self, function: Callable[[Floats, Floats], Floats], kind: int) -> Floats:
         """Derivatives by displacements (kind 0) or velocities (1) along the directions, as columns."""
@@ -183,7 +183,7 @@ class _Nearby:
 
 
 def _about(
-    model: Model, at: Phase | None, seen: Callable[[State, Floats], Floats] | None = None,
+    model: Model, at: Phase | None, observe: Callable[[State, Floats], Floats] | None = None,
     freedoms: Sequence[int] = (),
 ) -> tuple[Floats, int]:  # fmt: skip
     """Derivatives of rates and outputs by state and torques, and the number of directions."""
@@ -191,20 +191,26 @@ def _about(
     system, tree, k = model.system, model.tree, near.ways.shape[1]
     still = np.zeros(tree.n_v)
 
-    def found(move: Floats, rate: Floats, push: Floats = still) -> Floats:
+    def force_balance(move: Floats, rate: Floats, push: Floats = still) -> Floats:
         q, qd, factors, _ = near.place(move, rate)
         _, torque, loads = system.forces(near.at.time, q, qd, factors)
         qdd = system.accelerations(near.at.time, q, qd, torque + push, loads, factors)[0]
         out = near.back @ qdd
-        if seen is None:
+        if observe is None:
             return np.asarray(out)
-        return np.append(out, seen(State(model.bodies, near.at.time, q, qd, factors.frames), qdd))
+        return np.append(out, observe(State(model.bodies, near.at.time, q, qd, factors.frames), qdd))
 
     # Linear in torques, so that any will do: such as move a hinge by one.
     units = np.eye(tree.n_v)[list(freedoms)]
-    pushed = [0.5 * (found(still, still, unit) - found(still, still, -unit)) for unit in units]
-    rows = len(found(still, still))
-    lower = [near.slopes(found, 0), near.slopes(found, 1), np.reshape(pushed, (len(units), rows)).T]
+    pushed = [
+        0.5 * (force_balance(still, still, unit) - force_balance(still, still, -unit)) for unit in units
+    ]
+    rows = len(force_balance(still, still))
+    lower = [
+        near.slopes(force_balance, 0),
+        near.slopes(force_balance, 1),
+        np.reshape(pushed, (len(units), rows)).T,
+    ]
     upper = np.hstack([near.turning, np.eye(k), np.zeros((k, len(units)))])
     return np.vstack([upper, np.hstack([part.reshape(rows, -1) for part in lower])]), k
 
@@ -243,7 +249,7 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     )
     skew = np.max(np.abs(stiffness - stiffness.T)) > _SYMMETRIC * np.max(np.abs(stiffness))
     conservative = not (model.loads or np.any(start.qd) or skew)
-    root, (shift, factor) = cholesky(mass, lower=True), _shifted(mass, damping, stiffness)
+    root, (shift, factor) = cholesky(mass, lower=True), _shift_eigenvalues(mass, damping, stiffness)
     # Rates of z = L_K^T x and L_M^T x', over the eigenvalue less its shift.
     across = solve_triangular(factor, root, lower=True)
     if conservative:
@@ -257,7 +263,7 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     return np.sort(imaginary[imaginary > np.sqrt(_RIGID) * shift])
 
 
-def _shifted(mass: Floats, damping: Floats, stiffness: Floats) -> tuple[float, Floats]:
+def _shift_eigenvalues(mass: Floats, damping: Floats, stiffness: Floats) -> tuple[float, Floats]:
     """Shift s, 0 if that will do, for which K + s C + s^2 M is positive definite, and Cholesky's factor."""
     parts = [0.5 * (part + part.T) for part in (stiffness, damping, mass)]
     squares = eigh(parts[0], mass, eigvals_only=True)

@@ -69,13 +69,15 @@ class Spring(Between):
         ends, points = self.ends(bodies)
         places = [bodies.built.point(*end) for end in (self.a, self.b)]
         built = float(np.linalg.norm(places[1] - places[0]))
-        rest = built if self.rest is None else self.rest
-        if self.stiffness > 0.0 and built == 0.0 < rest:
+        rest_length = built if self.rest is None else self.rest
+        if self.stiffness > 0.0 and built == 0.0 < rest_length:
             raise MechanicsError(
                 f"{self.label}: its ends meet as built, where its force has no direction; "
                 "give rest=0, or move one"
             )
-        row = Springs(np.array([self.name]), ends, points, read_only([(self.stiffness, rest, self.damping)]))
+        row = Springs(
+            np.array([self.name]), ends, points, read_only([(self.stiffness, rest_length, self.damping)])
+        )
         elastic, damping = row if self.stiffness else None, row if self.damping else None
         return Acting(elastic, damping=damping, inside=bool(np.all(ends >= 0)))
 
@@ -130,14 +132,14 @@ def pull(
         a, b = ends[i, 0], ends[i, 1]
         arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
         arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
-        apart = subtract(place_b, place_a)
-        length = np.sqrt(dot(apart, apart))
-        k, rest = constants[i, STIFFNESS], constants[i, REST]
-        stretch = length - rest
+        separation = subtract(place_b, place_a)
+        length = np.sqrt(dot(separation, separation))
+        k, rest_length = constants[i, STIFFNESS], constants[i, REST]
+        stretch = length - rest_length
         energy += 0.5 * k * stretch * stretch
-        if length == 0.0 and rest > 0.0:
+        if length == 0.0 and rest_length > 0.0:
             return -1.0 - i
-        force = scale(k, apart) if rest == 0.0 else scale(k * stretch / length, apart)
+        force = scale(k, separation) if rest_length == 0.0 else scale(k * stretch / length, separation)
         push(force, arm_a, a, wrenches)
         push(scale(-1.0, force), arm_b, b, wrenches)
     return energy
@@ -154,10 +156,10 @@ def resist(
         arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
         arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
         moving = subtract(speed_of(twists, b, arm_b), speed_of(twists, a, arm_a))
-        apart = subtract(place_b, place_a)
-        squared = dot(apart, apart)
+        separation = subtract(place_b, place_a)
+        squared = dot(separation, separation)
         force = scale(constants[i, DAMPING], moving)
         if squared > 0.0:
-            force = scale(constants[i, DAMPING] * dot(moving, apart) / squared, apart)
+            force = scale(constants[i, DAMPING] * dot(moving, separation) / squared, separation)
         push(force, arm_a, a, wrenches)
         push(scale(-1.0, force), arm_b, b, wrenches)

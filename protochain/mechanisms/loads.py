@@ -61,23 +61,23 @@ class AppliedForce(Named):
         force, by_force = _of_state(self.force)
         moment, by_moment = _of_state(self.moment)
 
-        def answered(what: str, function: Callable[..., Any], *arguments: Any) -> Floats:
-            return numbers(answer(f"{label} {what}", function, *arguments), (3,), f"{label} {what}")
+        def evaluate(quantity: str, function: Callable[..., Any], *arguments: Any) -> Floats:
+            return numbers(answer(f"{label} {quantity}", function, *arguments), (3,), f"{label} {quantity}")
 
-        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+        def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             def state() -> State:
                 return State(bodies, time, q, qd, frames)
 
             wrenches = np.zeros((bodies.tree.n_bodies, 6))
             if self.force is not None:
-                fx, fy, fz = answered("force", force, time, state).tolist()
+                fx, fy, fz = evaluate("force", force, time, state).tolist()
                 x, y, z = (frames.rotation[b] @ point).tolist()
                 wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
             if self.moment is not None:
-                wrenches[b, :3] += answered("moment", moment, time, state)
+                wrenches[b, :3] += evaluate("moment", moment, time, state)
             return Applied(wrenches)
 
-        return Acting(load=Load(applied, by_force or by_moment))
+        return Acting(load=Load(apply, by_force or by_moment))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +110,13 @@ class HingeTorque(Named):
         freedom, label = bodies.freedom(self.hinge, self.label)[1], f"{self.label}: its value"
         value, by_state = _of_state(self.value)
 
-        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+        def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
             torque = answer(label, value, time, lambda: State(bodies, time, q, qd, frames))
             torques[freedom] = number(torque, label)
             return Applied(torques=torques)
 
-        return Acting(load=Load(applied, by_state), inside=True, hinges=(self.hinge,))
+        return Acting(load=Load(apply, by_state), inside=True, hinges=(self.hinge,))
 
 
 def _law(value: Any, shape: tuple[int, ...], label: str) -> Any:

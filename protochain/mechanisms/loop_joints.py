@@ -62,11 +62,11 @@ class LoopJoints:
         return accelerations
 
 
-def least_change(matrix: Floats, wanted: Floats) -> Floats:
+def least_change(matrix: Floats, target: Floats) -> Floats:
     """Least x with matrix x = wanted, for a matrix in radians and sizes, without its rounding."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
-    return np.asarray(right[counts].T @ ((left.T @ wanted)[counts].T / sizes[counts]).T)
+    return np.asarray(right[counts].T @ ((left.T @ target)[counts].T / sizes[counts]).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +90,15 @@ class FactoredLoops:
         # Wrenches of the world, body -1, are zero.
         return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
 
-    def impulses(self, wanted: Floats) -> Floats:
+    def impulses(self, target: Floats) -> Floats:
         """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
         if self.rank is None:
-            impulses: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
+            impulses: Floats = least_impulses(self.scales, self.coefficients, self.order, target)
             return impulses
         # Of a matrix of the rank of closed loops, which counts what an equation changes by what it could.
         scales, weighted = self.scales * self.lengths, self.coefficients * self.lengths[:, None]
         left, sizes, _ = (part[..., : self.rank] for part in np.linalg.svd(weighted))
-        return np.asarray(scales * (left @ (left.T @ (scales * wanted) / sizes**2)))
+        return np.asarray(scales * (left @ (left.T @ (scales * target) / sizes**2)))
 
     def wrenches(self, impulses: Floats) -> Floats:
         """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
@@ -106,9 +106,9 @@ class FactoredLoops:
         gather(self.rows.body, self.rows.wrench, impulses, out)
         return out
 
-    def change(self, wanted: Floats) -> Floats:
+    def change(self, target: Floats) -> Floats:
         """Change of velocities (n_v,), of least kinetic energy, that changes the rates by (m,) wanted."""
-        wrenches = self.wrenches(self.impulses(wanted))
+        wrenches = self.wrenches(self.impulses(target))
         return solve(self.factors, np.zeros(self.factors.tree.n_v), -wrenches)
 
 
@@ -136,7 +136,7 @@ def factor_loops_at(
     for i in range(m):
         # The square of the largest length that y could have decides what is rounding. Loads of the two bodies
         # pass inward one after the other: those of bodies that are fixed to each other cancel.
-        most = 0.0
+        largest = 0.0
         for side in range(2):
             moment, force = algebra.pair(wrench[i], side)
             b = body[i, side]
@@ -147,14 +147,14 @@ def factor_loops_at(
                     x = np.array([moment[0], moment[1], moment[2], force[0], force[1], force[2]])
                     solve_lower(root[links[b, Q] - k], 6, x)
                     y[i, k : k + 6] += x
-                    most += np.dot(x, x)
+                    largest += np.dot(x, x)
                 if width == 1:
                     axis = algebra.hinge_axis(rotation, b)
                     along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
                     y[i, k] += along / np.sqrt(pivot[b])
                     turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
                     push = dot(force, force)
-                    most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
+                    largest += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
                 p = links[b, PARENT]
                 if p >= 0:
                     moment = add(moment, cross(algebra.lever(origin, b, p), force))
@@ -163,8 +163,8 @@ def factor_loops_at(
                     moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
                 b = p
         length = np.sqrt(np.dot(y[i], y[i]))
-        if length > DEPENDENT * np.sqrt(most):
-            scales[i], lengths[i] = 1.0 / length, length / np.sqrt(most)
+        if length > DEPENDENT * np.sqrt(largest):
+            scales[i], lengths[i] = 1.0 / length, length / np.sqrt(largest)
         y[i] *= scales[i]
     coefficients, order = _orthonormalise(y, lengths)
     return scales, coefficients, order, lengths
@@ -175,9 +175,9 @@ def _orthonormalise(y: Floats, lengths: Floats) -> tuple[Floats, Integers]:
     """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these."""
     # Modified Gram-Schmidt with pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
     # Next is the row whose rest exceeds its rounding, an inverse length, by the largest factor.
-    m, most = len(y), min(y.shape)
-    coefficients, order, left = np.zeros((m, most)), np.empty(most, np.int64), np.sqrt(np.sum(y * y, axis=1))
-    for r in range(most):
+    m, rank = len(y), min(y.shape)
+    coefficients, order, left = np.zeros((m, rank)), np.empty(rank, np.int64), np.sqrt(np.sum(y * y, axis=1))
+    for r in range(rank):
         best, largest = -1, DEPENDENT
         for i in range(m):
             if left[i] * lengths[i] > largest:
@@ -197,19 +197,19 @@ def _orthonormalise(y: Floats, lengths: Floats) -> tuple[Floats, Integers]:
 
 
 @kernel
-def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted: Floats) -> Floats:
+def least_impulses(scales: Floats, coefficients: Floats, order: Integers, target: Floats) -> Floats:
     """Impulses (m,), scaled of least norm, that change rates by those wanted (m,)."""
     # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = wanted, and C^T z = c.
     # Without Q these are as stable as with it (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
     r, x, top = len(order), np.zeros(len(scales)), coefficients[order]
-    c, square = scales[order] * wanted[order], coefficients.T @ coefficients
+    c, square = scales[order] * target[order], coefficients.T @ coefficients
     solve_lower(top, r, c)
     if r < np.count_nonzero(scales) and cholesky(square, r):
         # Redundant equations: c of least squares and z = C (C^T C)^-1 c, once more for what is left.
         for _ in range(2):
-            c += _solved(square, coefficients.T @ (scales * wanted - coefficients @ c))
+            c += _solve(square, coefficients.T @ (scales * target - coefficients @ c))
         for _ in range(2):
-            x += coefficients @ _solved(square, c - coefficients.T @ x)
+            x += coefficients @ _solve(square, c - coefficients.T @ x)
     else:
         solve_upper(top, r, c)
         x[order] = c
@@ -217,7 +217,7 @@ def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted
 
 
 @kernel
-def _solved(factor: Floats, x: Floats) -> Floats:
+def _solve(factor: Floats, x: Floats) -> Floats:
     """Overwrite x by the solution with a matrix of this Cholesky factor. Return it."""
     solve_lower(factor, len(x), x)
     solve_upper(factor, len(x), x)

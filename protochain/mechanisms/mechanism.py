@@ -39,17 +39,17 @@ def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism
     """Method that makes a part of its arguments and adds it, with the docstring of the part."""
 
     def method(self: "Mechanism", *args: P.args, **kwargs: P.kwargs) -> None:
-        for name in kwargs.keys() - taken.parameters.keys():
-            near = get_close_matches(name, taken.parameters, 1)
-            named = kwargs.get("name", args[0] if args else "")
+        for name in kwargs.keys() - arguments.parameters.keys():
+            near = get_close_matches(name, arguments.parameters, 1)
+            part_name = kwargs.get("name", args[0] if args else "")
             called = getattr(make, "called", "element")
-            remedy = near[0] if near else ", ".join(taken.parameters)
-            raise MechanicsError(f'{called} "{named}": there is no argument {name}; give {remedy}')
+            remedy = near[0] if near else ", ".join(arguments.parameters)
+            raise MechanicsError(f'{called} "{part_name}": there is no argument {name}; give {remedy}')
         self.add(make(*args, **kwargs))
 
-    taken = inspect.signature(make)
+    arguments = inspect.signature(make)
     first = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    signature = taken.replace(parameters=[first, *taken.parameters.values()], return_annotation=None)
+    signature = arguments.replace(parameters=[first, *arguments.parameters.values()], return_annotation=None)
     method.__signature__ = signature  # type: ignore[attr-defined]  # which functions have
     method.__doc__ = "\n\n".join([doc, *(make.__doc__ or "").split("\n\n")[1:]])
     return method
@@ -125,9 +125,9 @@ class Mechanism:
         MechanicsError
             If the file is invalid, or has unsupported parts.
         """
-        made = cls(gravity)
-        read_urdf(made, source, free, stops, leave_out)
-        return made
+        mechanism = cls(gravity)
+        read_urdf(mechanism, source, free, stops, leave_out)
+        return mechanism
 
     @classmethod
     def from_mjcf(
@@ -165,9 +165,9 @@ class Mechanism:
         MechanicsError
             If MuJoCo is not there or does not read the file, or the file has unsupported parts.
         """
-        made = cls(units=units)
-        read_mjcf(made, source, stops, leave_out)
-        return made
+        mechanism = cls(units=units)
+        read_mjcf(mechanism, source, stops, leave_out)
+        return mechanism
 
     def to_mjcf(self, path: str | Path | None = None) -> str:
         """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.

@@ -167,10 +167,10 @@ class _Compiled:
         self.into.add(kind(name, **mass))
         parent, above, turned, last = self.bodies[m.body_parentid[b]], at, rotation, np.zeros(3)
         for j in joints:
-            called, sort = self.name("joint", j), _JOINTS[int(m.jnt_type[j])]
+            joint_name, sort = self.name("joint", j), _JOINTS[int(m.jnt_type[j])]
             anchor, axis = m.jnt_pos[j], m.jnt_axis[j]
             ends = j == joints[-1] and not np.any(anchor)
-            child = name if ends else f"{name}: {called}"
+            child = name if ends else f"{name}: {joint_name}"
             if not ends:
                 self.into.body(child, 0.0)
             # A hinge begins at its reference, where the body is as the file has it.
@@ -183,13 +183,13 @@ class _Compiled:
                 place = place - q0 * turned @ axis
             start = {"q": np.degrees(q0) if self.into.degrees and sort == "revolute" else q0} if q0 else {}
             self.into.hinge(
-                called, parent, child, sort, place, turned @ axis, turned @ back,
+                joint_name, parent, child, sort, place, turned @ axis, turned @ back,
                 armature=self.armature(j), **start,
             )  # fmt: skip
             if sort == "ball":
                 self.resist_all(j, (child, (0, 0, 0)), (parent, place), turned.T)
             else:
-                self.resist(j, called, sort)
+                self.resist(j, joint_name, sort)
             parent, above, turned, last = child, np.zeros(3), np.eye(3), anchor
         if parent != name:
             seat = above - turned @ last
@@ -230,8 +230,8 @@ class _Compiled:
         stiffness, damping, friction = self.resistance(j)
         scale = np.degrees(1.0) if self.into.degrees and sort == "revolute" else 1.0
         if stiffness:
-            rest = float(scale * self.m.qpos_spring[self.m.jnt_qposadr[j]])
-            self.into.torsion(f"{name}: spring", name, stiffness, rest)
+            rest_angle = float(scale * self.m.qpos_spring[self.m.jnt_qposadr[j]])
+            self.into.torsion(f"{name}: spring", name, stiffness, rest_angle)
         low, high = (float(scale * x) for x in self.m.jnt_range[j])
         self.reading.resists(name, damping, friction, (low, high) if self.is_limited(j) else None)
 

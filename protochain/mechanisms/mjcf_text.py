@@ -64,7 +64,7 @@ class _Writing:
         self.elements = {WORLD: SubElement(self.root, "worldbody")}
         self.joints: dict[str, Element] = {}  # Of hinges, and of free bodies, by name.
         self.inward = {hinge.child: hinge for hinge in of.parts(Hinge)}
-        bodies = _fused({body.name: body for body in of.parts(Body)}, self.inward)
+        bodies = _merge_nominal({body.name: body for body in of.parts(Body)}, self.inward)
         carriers = self.carriers(bodies)
         for name in self.bodies.names:
             if name in bodies and name not in carriers:
@@ -74,8 +74,8 @@ class _Writing:
     def carriers(self, bodies: dict[str, Body]) -> set[str]:
         """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
         children = [hinge.parent for hinge in self.of.parts(Hinge)]
-        joined = (each for each in self.of.parts(Between) if not self.is_ball(each))
-        ends = {end for each in joined for end, _ in (each.a, each.b)}
+        joined = (part_joined for part_joined in self.of.parts(Between) if not self.is_ball(part_joined))
+        ends = {end for part_joined in joined for end, _ in (part_joined.a, part_joined.b)}
         carriers = {
             name
             for name, body in bodies.items()
@@ -86,9 +86,11 @@ class _Writing:
         for name in self.bodies.names:
             if name in bodies and name not in carriers:
                 chain = self.chain(name, carriers)
-                for each in chain[:-1]:
-                    if each.hinge.kind == "ball" and not np.allclose(each.turn, chain[-1].turn, atol=_SAME):
-                        carriers.discard(each.hinge.child)
+                for part_joined in chain[:-1]:
+                    if part_joined.hinge.kind == "ball" and not np.allclose(
+                        part_joined.turn, chain[-1].turn, atol=_SAME
+                    ):
+                        carriers.discard(part_joined.hinge.child)
         return carriers
 
     def is_ball(self, of: Between) -> bool:
@@ -167,9 +169,9 @@ class _Writing:
     def write_torsion(self, of: Torsion) -> None:
         """Write a spring, a damper, or both."""
         built = float(self.bodies.q[self.bodies.freedom(of.hinge)[0]])
-        rest = built if of.rest is None else float(of.rest * self.bodies.unit(of.hinge))
-        rest = rest if of.stiffness else 0.0
-        self.set_of(of.label, of.hinge, stiffness=of.stiffness, damping=of.damping, springref=rest)
+        rest_angle = built if of.rest is None else float(of.rest * self.bodies.unit(of.hinge))
+        rest_angle = rest_angle if of.stiffness else 0.0
+        self.set_of(of.label, of.hinge, stiffness=of.stiffness, damping=of.damping, springref=rest_angle)
 
     def write_friction(self, of: HingeFriction) -> None:
         """Write a constant friction."""
@@ -193,10 +195,12 @@ class _Writing:
         """Write a spring between two points, as a tendon."""
         ends = of.a, of.b
         built = np.linalg.norm(self.bodies.built.point(*of.a) - self.bodies.built.point(*of.b))
-        rest = built if of.rest is None else of.rest
-        held = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest}
+        rest_length = built if of.rest is None else of.rest
+        attributes = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest_length}
         line = SubElement(
-            self.group("tendon"), "spatial", {"name": of.name, **{key: _text(x) for key, x in held.items()}}
+            self.group("tendon"),
+            "spatial",
+            {"name": of.name, **{key: _text(x) for key, x in attributes.items()}},
         )
         for end, (body, at) in zip("ab", ends, strict=True):
             SubElement(line, "site", site=self.write_site(f"{of.name}: {end}", body, at, np.eye(3)))
@@ -219,15 +223,15 @@ class _Writing:
 
     def write_bushing(self, of: Bushing) -> None:
         """Write spring and damper of a ball, or of a free body."""
-        (a, at), (b, there) = of.a, of.b
+        (a, at), (b, at_b) = of.a, of.b
         hinge, free = self.inward.get(a), a not in self.inward and b == WORLD
         fits, alike = (free or self.is_ball(of)) and not np.any(at), np.repeat([1.0, float(free)], 3)
         if fits:
             place, turn = self.bodies.built.point(a), self.bodies.built.rotation(a)
             if hinge is not None:
                 place, turn = hinge.at, hinge.rotation
-            rest = turn.T if of.rotation is None else of.rotation
-            fits = np.allclose(there, place, atol=_SAME) and np.allclose(rest, turn.T, atol=_SAME)
+            rest_rotation = turn.T if of.rotation is None else of.rotation
+            fits = np.allclose(at_b, place, atol=_SAME) and np.allclose(rest_rotation, turn.T, atol=_SAME)
         if not (fits and all(np.array_equal(c, c[0] * alike) for c in (of.stiffness, of.damping))):
             raise MechanicsError(
                 f"{of.label}: MJCF has bushings only of balls and free bodies, equal in all directions and "
@@ -242,7 +246,7 @@ class _Writing:
         return SubElement(self.root, tag) if element is None else element
 
 
-def _fused(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
+def _merge_nominal(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
     """Bodies, with those of unphysical inertia merged with the bodies that are fixed to them."""
     out = dict(bodies)
     for body in bodies.values():
@@ -269,7 +273,7 @@ def _fused(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]
                 f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, and that of "
                 "all bodies fixed to it breaks it, too; give one that a body has"
             )
-        out |= {each.name: Body(each.name, 0.0) for each, _, _ in group} | {first: one}
+        out |= {member.name: Body(member.name, 0.0) for member, _, _ in group} | {first: one}
     return out
 
 

@@ -154,13 +154,13 @@ def model_of(
     loads += [
         NamedLoad(name, act.load, act.dissipates, act.hinges) for name, act in acting.items() if act.load
     ]
-    held = np.any((tree.parent < 0) & ((tree.kind != HingeKind.FREE) | (tree.bodies[:, ARMATURE] > 0.0)))
+    is_fixed = np.any((tree.parent < 0) & ((tree.kind != HingeKind.FREE) | (tree.bodies[:, ARMATURE] > 0.0)))
     on_world = bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
     model = Model(
         bodies, bodies.q, bodies.qd,
         (*weight, *joined(act.conservative for act in acting.values() if act.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
-        not weight and not held and not on_world and all(act.inside for act in acting.values()),
+        not weight and not is_fixed and not on_world and all(act.inside for act in acting.values()),
         tuple(act.memory for act in acting.values() if act.memory),
     )  # fmt: skip
     rubbing = [act.friction for act in acting.values() if act.friction]
@@ -211,8 +211,10 @@ class _Simulation:
             except MechanicsError as error:
                 # Of what has diverged this says more.
                 self.look()
-                named = error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
-                raise MechanicsError(f"{self.after}: {named}", fault=error.fault) from None
+                error_by_name = (
+                    error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
+                )
+                raise MechanicsError(f"{self.after}: {error_by_name}", fault=error.fault) from None
             finally:
                 for memory in self.model.memories:
                     memory.end(end)
@@ -294,10 +296,10 @@ class _Simulation:
         n = int((until - at.time) / h) - 2
         if isinstance(system, InOneKernel) and isinstance(self.integrator, RungeKutta4 | DormandPrince):
             while count < n:
-                rows, at, taken = system.march(self.integrator, at, h, min(look, n - count), every)
+                rows, at, n_taken = system.march(self.integrator, at, h, min(look, n - count), every)
                 self.rows += rows
-                count += taken
-                if taken < look:
+                count += n_taken
+                if n_taken < look:
                     break
                 self.look()
         while (left := until - at.time) > _SAME * h:

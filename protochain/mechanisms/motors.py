@@ -62,34 +62,34 @@ class Motor(Named):
             self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
         if not (self.limit == np.inf or number(self.limit, f"{label} limit") > 0.0):
             raise MechanicsError(f"{label} limit {self.limit:g}: give one above 0")
-        self.fix(follow={hinge: self._driven(hinge, motion) for hinge, motion in self.follow.items()})
+        self.fix(follow={hinge: self._drive_of(hinge, motion) for hinge, motion in self.follow.items()})
 
-    def _driven(self, hinge: str, motion: Any) -> Driven:
+    def _drive_of(self, hinge: str, motion: Any) -> Driven:
         if callable(motion):
             return Driven(hinge, motion)
-        held = number(motion, f'{self.label}: its hinge "{hinge}"')
-        return Driven(hinge, lambda time: (held, 0.0, 0.0))
+        coordinate = number(motion, f'{self.label}: its hinge "{hinge}"')
+        return Driven(hinge, lambda time: (coordinate, 0.0, 0.0))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its torques as a load."""
         tree, names = bodies.tree, tuple(self.follow)
         places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
-        if np.any(taken := np.isin(freedoms, tree.driven_v)):
+        if np.any(is_driven := np.isin(freedoms, tree.driven_v)):
             raise MechanicsError(
-                f'{self.label}: hinge "{names[int(np.argmax(taken))]}" is driven; leave it out'
+                f'{self.label}: hinge "{names[int(np.argmax(is_driven))]}" is driven; leave it out'
             )
         units = np.array([bodies.unit(name) for name in names])
 
-        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-            wanted, rate, quickening = units * np.array([drive.at(time) for drive in self.follow.values()]).T
-            torque = self.stiffness * (wanted - q[places]) + self.damping * (rate - qd[freedoms])
+        def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+            targets, rate, quickening = units * np.array([drive.at(time) for drive in self.follow.values()]).T
+            torque = self.stiffness * (targets - q[places]) + self.damping * (rate - qd[freedoms])
             if self.feed_forward:
-                there, moving, qdd = q.copy(), qd.copy(), np.zeros(tree.n_v)
-                there[places], moving[freedoms], qdd[freedoms] = wanted, rate, quickening
-                weight = bodies.weights(multibody.pose(tree, there))
-                torque = torque + multibody.inverse_dynamics(tree, there, moving, qdd, weight)[freedoms]
+                q_target, moving, qdd = q.copy(), qd.copy(), np.zeros(tree.n_v)
+                q_target[places], moving[freedoms], qdd[freedoms] = targets, rate, quickening
+                weight = bodies.weights(multibody.pose(tree, q_target))
+                torque = torque + multibody.inverse_dynamics(tree, q_target, moving, qdd, weight)[freedoms]
             torques = np.zeros(tree.n_v)
             torques[freedoms] = np.clip(torque, -self.limit, self.limit)
             return Applied(torques=torques)
 
-        return Acting(load=Load(applied), inside=True, hinges=names)
+        return Acting(load=Load(apply), inside=True, hinges=names)

@@ -74,10 +74,10 @@ def movie(
         raise MechanicsError(f"title {shown(title)}: give a text")
     if path is not None and not (isinstance(path, str | Path) and str(path)):
         raise MechanicsError(f'path {shown(path)}: give the name of a file, as "motion.html"')
-    most = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
-    of = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], most)), shapes)
+    n_frames = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
+    of = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], n_frames)), shapes)
     title = title or "Motion"
-    text = json.dumps(_told(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(_data_of(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     source = (files("protochain.mechanisms") / "movie.html").read_text(encoding="utf-8")
     page = Template(source, autoescape=True).render(title=title, motion=text)
     if path is not None:
@@ -193,7 +193,7 @@ def _hull(points: Floats, radius: float) -> Floats:
     return np.asarray(everything[ConvexHull(everything).vertices])
 
 
-def _told(of: Drawing) -> dict[str, Any]:
+def _data_of(of: Drawing) -> dict[str, Any]:
     """Data of the page: shapes, and whole numbers for poses."""
     middle, fine = 0.5 * (of.low + of.high), _FINE * of.size
     frames = [

@@ -36,12 +36,12 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
     applied, unread = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)
     for part in model.conservative:
         part.add(at.q, frames, applied, unread)
-    for each in model.loads:
-        wrenches = each.load.applied(at.time, at.q, at.qd, frames).wrenches
+    for acting in model.loads:
+        wrenches = acting.load.applied(at.time, at.q, at.qd, frames).wrenches
         applied += 0.0 if wrenches is None else wrenches
     impulses, joints = np.zeros(0), model.bodies.joints
     if joints is not None:
-        free = system.forward_dynamics(at.q, at.qd, _given(model, at))
+        free = system.forward_dynamics(at.q, at.qd, _torques_and_accelerations(model, at))
         loops = factor_loops(at.factors, joints)
         impulses = loops.impulses(-joints.accelerations(tree, frames, at.qd, free))
         applied += loops.wrenches(impulses)
@@ -55,7 +55,7 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
     return Transmitted(at, passed, impulses)
 
 
-def _given(model: Assembly, at: Phase) -> Floats:
+def _torques_and_accelerations(model: Assembly, at: Phase) -> Floats:
     """Torques, replaced by accelerations at driven hinges, as forward dynamics requires."""
     prescribed = at.torque.copy()
     if model.drive is not None:

@@ -36,9 +36,9 @@ class Reading:
         self.left: dict[str, str] = {}  # Kind -> an example, of what changes the motion and is refused.
         self.unused: dict[str, str] = {}  # Kind -> an example, of what does nothing by itself.
 
-    def refuse(self, what: str) -> MechanicsError:
+    def refuse(self, problem: str) -> MechanicsError:
         """Return the error that names the file."""
-        return MechanicsError(f"{self.name}: {what}")
+        return MechanicsError(f"{self.name}: {problem}")
 
     def resists(
         self, hinge: str, damping: float, friction: float, limits: tuple[float, float] | None
@@ -56,9 +56,9 @@ class Reading:
     def end(self) -> None:
         """Raise if a part is skipped without permission."""
         self.into.set_left_out({**self.unused, **self.left})
-        more = {kind: where for kind, where in self.left.items() if kind not in self.leave_out}
-        if more:
-            kinds = ", ".join(f'{kind} ("{where}")' for kind, where in sorted(more.items()))
+        refused_kinds = {kind: where for kind, where in self.left.items() if kind not in self.leave_out}
+        if refused_kinds:
+            kinds = ", ".join(f'{kind} ("{where}")' for kind, where in sorted(refused_kinds.items()))
             raise self.refuse(
                 f"it has what a mechanism has not: {kinds}; name the kinds in leave_out to go on without"
             )
@@ -109,8 +109,8 @@ def _body(reading: Reading, name: str, inertial: Element | None) -> Body:
     mass = _number(reading, inertial.find("mass"), "value")
     if is_inertia(inertia[None])[0] and (mass or not np.any(inertia)):
         return Body(name, mass, com, inertia)
-    wrong = "inertia breaks the triangle inequality" if mass else "inertia has no mass"
-    text = f'{reading.name}: link "{name}": its {wrong}, so no body has it; it is used as it is'
+    error_text = "inertia breaks the triangle inequality" if mass else "inertia has no mass"
+    text = f'{reading.name}: link "{name}": its {error_text}, so no body has it; it is used as it is'
     warnings.warn(text, InertiaWarning, stacklevel=4)
     return NominalBody(name, mass, com, inertia)
 

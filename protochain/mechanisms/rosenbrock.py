@@ -104,16 +104,16 @@ def _advance(system: Equations, at: Phase, h: float) -> Tried:
     # Displacements change by velocities to first order, so that half of the equations are solved at once.
     factor = lu_factor(np.eye(n) - g * by_speed - g * g * by_place)
 
-    def solved(place: Floats, speed: Floats) -> tuple[Floats, Floats]:
+    def solve(place: Floats, speed: Floats) -> tuple[Floats, Floats]:
         k = lu_solve(factor, speed + g * by_place @ place)
         return place + g * k, k
 
     later = np.zeros(n)
     if system.loads or system.drive is not None:
         later = g * (rates(at.time + _NUDGE * h, still, at.qd)[1] - acceleration) / (_NUDGE * h)
-    place, speed = solved(slope, acceleration + later)
-    there, quicker, power_there = rates(at.time + h, h * place, at.qd + h * speed)
-    place_2, speed_2 = solved(there - 2.0 * place, quicker - 2.0 * speed - later)
+    place, speed = solve(slope, acceleration + later)
+    rate_at_end, quicker, power_there = rates(at.time + h, h * place, at.qd + h * speed)
+    place_2, speed_2 = solve(rate_at_end - 2.0 * place, quicker - 2.0 * speed - later)
     q = system.integrate(at.q, h * (1.5 * place + 0.5 * place_2))
     qd = at.qd + h * (1.5 * speed + 0.5 * speed_2)
     work = at.work + 0.5 * h * (power + power_there)

@@ -31,7 +31,7 @@ class Audit(NamedTuple):
     Parameters
     ----------
     energy : float
-        Largest change of energy that is neither work nor an event's, relative to the most energy in motion. If
+        Largest change of energy that is neither work nor an event's, relative to the most in motion. If
         nothing moves, relative to the stored energy.
     momentum, spin : float or None
         Largest change of momentum, and of spin about the origin, relative to the sum over the bodies. None if
@@ -77,7 +77,7 @@ class Run(Motion):
         columns |= {f"work {name}": self.work[:, k] for k, name in enumerate(self.model.works)}
         columns["dissipation"] = self.dissipation
         columns["events"] = self.jumps
-        names = [f"{what} {axis}" for what in ("momentum", "spin") for axis in "xyz"]
+        names = [f"{quantity} {axis}" for quantity in ("momentum", "spin") for axis in "xyz"]
         columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
         return pd.DataFrame(columns)
 
@@ -185,17 +185,17 @@ class Run(Motion):
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
         scale = self.in_motion if self.in_motion > ROUNDED * self.held else self.held
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
-        loops = self._opened() if self.model.bodies.joints is not None else (None, None)
+        loops = self._loop_errors() if self.model.bodies.joints is not None else (None, None)
         strikes = {watched.name for watched in self.model.events if not watched.passes}
         if not self.model.inside or any(event.name in strikes for event in self.events):
             return Audit(energy, None, None, *loops)
-        whole, sizes = self._momenta
-        changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
+        totals, sizes = self._momenta
+        changes = np.max(np.linalg.norm(totals - totals[0], axis=2), axis=0)
         scales = np.max(sizes, axis=0)
         momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
         return Audit(energy, float(momentum), float(spin), *loops)
 
-    def _opened(self) -> tuple[float, float]:
+    def _loop_errors(self) -> tuple[float, float]:
         """Largest error of a loop by the size of the tree, and its rate by the fastest freedom."""
         joints, tree = self.model.bodies.joints, self.model.tree
         assert joints is not None

@@ -57,10 +57,10 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
 
 
-def _refuse(name: str, bad: Any) -> None:
-    if np.any(bad):
+def _refuse(name: str, mask: Any) -> None:
+    if np.any(mask):
         raise MechanicsError(
-            f"sphere {int(np.argmax(bad))}: its {name} must be finite, a radius not negative"
+            f"sphere {int(np.argmax(mask))}: its {name} must be finite, a radius not negative"
         )
 
 
@@ -92,17 +92,17 @@ def sort_into_cells(x: Floats, edge: float) -> tuple[Integers, Integers, Integer
         if k < 2:
             # Odd, lest layers fall upon the same places.
             size[k] = (int((np.max(x[:, k]) - low[k]) / edge) + 3) | 1
-    own, start = np.empty(n, np.int64), np.zeros(places + 1, np.int64)
+    own_items, start = np.empty(n, np.int64), np.zeros(places + 1, np.int64)
     for i in range(n):
         a, b, c = (x[i, 0] - low[0]) / edge, (x[i, 1] - low[1]) / edge, (x[i, 2] - low[2]) / edge
-        own[i] = int(a) + 1 + size[0] * (int(b) + 1 + size[1] * (int(c) + 1))
-        start[(own[i] & (places - 1)) + 1] += 1
+        own_items[i] = int(a) + 1 + size[0] * (int(b) + 1 + size[1] * (int(c) + 1))
+        start[(own_items[i] & (places - 1)) + 1] += 1
     for k in range(places):
         start[k + 1] += start[k]
     order, cell, filled = np.empty(n, np.int64), np.empty(n, np.int64), start[:-1].copy()
     for i in range(n):
-        place = own[i] & (places - 1)
-        order[filled[place]], cell[filled[place]] = i, own[i]
+        place = own_items[i] & (places - 1)
+        order[filled[place]], cell[filled[place]] = i, own_items[i]
         filled[place] += 1
     return order, cell, start, size
 
@@ -121,7 +121,7 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
     layer = size[0] * size[1]
     first = np.array([0, size[0] - 1, layer - size[0] - 1, layer - 1, layer + size[0] - 1])
     for a in range(n):
-        own = order[a]
+        own_items = order[a]
         for row in range(5):
             wanted, width = cell[a] + first[row], 3 if row else 2
             place = wanted & (places - 1)
@@ -137,7 +137,10 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
                     reach, step = r[a] + r[other], cell[other] - wanted
                     # Written in any case and kept if near: a branch that cannot be foreseen costs more.
                     near = dx * dx + dy * dy + dz * dz <= reach * reach
-                    pairs[count, 0], pairs[count, 1] = min(own, order[other]), max(own, order[other])
+                    pairs[count, 0], pairs[count, 1] = (
+                        min(own_items, order[other]),
+                        max(own_items, order[other]),
+                    )
                     count += near & (step >= 0) & (step < width)
                 b, end = 0, start[max(beyond, 0)]
     return pairs[:count].copy()
@@ -146,11 +149,11 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
 @kernel
 def wider(rows: Integers, room: int) -> Integers:
     """Rows, and room for more behind them."""
-    found = np.empty((room, rows.shape[1]), rows.dtype)
+    pairs_found = np.empty((room, rows.shape[1]), rows.dtype)
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
-            found[i, j] = rows[i, j]
-    return found
+            pairs_found[i, j] = rows[i, j]
+    return pairs_found
 
 
 @kernel
@@ -221,11 +224,11 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     wrong = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
     if np.any(wrong):
         raise MechanicsError(f"box {int(np.argmax(wrong))}: its corners must be finite, the low one below")
-    node_low, node_high, after, items, order = _halved(low, high)
+    node_low, node_high, after, items, order = _halve(low, high)
     for array in (after, items, order):
         array.flags.writeable = False
-    own = frozen(low.copy()), frozen(high.copy())
-    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own)
+    own_items = frozen(low.copy()), frozen(high.copy())
+    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own_items)
 
 
 def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:
@@ -244,23 +247,23 @@ def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:
         Number of the other, number of the item, in order. Boxes that only touch are among them.
     """
     low, high = floats(low, (len(low), 3), "low"), floats(high, (len(low), 3), "high")
-    found = _overlaps(
+    pairs_found = _overlaps(
         tree.low, tree.high, tree.after, tree.items, tree.order, tree.item_low, tree.item_high, low, high
     )
-    return in_order(found, max(len(low), len(tree.order)))
+    return in_order(pairs_found, max(len(low), len(tree.order)))
 
 
 @kernel
-def _halved(low: Floats, high: Floats) -> tuple[Floats, Floats, Integers, Integers, Integers]:
+def _halve(low: Floats, high: Floats) -> tuple[Floats, Floats, Integers, Integers, Integers]:
     """Arrays of the tree, node by node, depth first."""
     n = len(low)
-    order, most = np.arange(n), 2 * n + 1
-    node_low, node_high = np.empty((most, 3)), np.empty((most, 3))
-    after, items = np.zeros(most, np.int64), np.zeros((most, 2), np.int64)
+    order, n_most = np.arange(n), 2 * n + 1
+    node_low, node_high = np.empty((n_most, 3)), np.empty((n_most, 3))
+    after, items = np.zeros(n_most, np.int64), np.zeros((n_most, 2), np.int64)
     # Parts of `order` still to be made nodes of.
     parts, waiting, count = np.empty((64, 2), np.int64), 1 if n else 0, 0
     parts[0, 0], parts[0, 1] = 0, n
-    ends = np.empty(most, np.int64)
+    ends = np.empty(n_most, np.int64)
     while waiting:
         waiting -= 1
         first, last = parts[waiting, 0], parts[waiting, 1]

@@ -157,7 +157,7 @@ class Among:
         """Balls that overlap."""
         centre, balls = self.balls.centres(frames), self.balls
         pair = touching(centre, balls.radius)
-        return Touches(*_between(pair, centre, balls.body, balls.radius, self.first))
+        return Touches(*_normals_between(pair, centre, balls.body, balls.radius, self.first))
 
     def refuse_depth(self, touches: Touches) -> None:
         """Raise if a ball has all but passed through another."""
@@ -240,19 +240,19 @@ class OnSurface:
         return nearest
 
 
-def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
-    if np.any(bad):
-        k = int(np.argmax(bad))
+def _refuse(name: str, mask: np.ndarray, touches: Touches) -> None:
+    if np.any(mask):
+        k = int(np.argmax(mask))
         raise MechanicsError(
             f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise "
             "the stiffness or take shorter steps"
         )
 
 
-def _refuse_passage(name: str, ball: Integers, bad: np.ndarray) -> None:
-    if np.any(bad):
+def _refuse_passage(name: str, ball: Integers, mask: np.ndarray) -> None:
+    if np.any(mask):
         raise MechanicsError(
-            f"{name}: ball {ball[int(np.argmax(bad))]} passes through what it touches within a step; "
+            f"{name}: ball {ball[int(np.argmax(mask))]} passes through what it touches within a step; "
             "take shorter steps"
         )
 
@@ -341,7 +341,7 @@ def _below(
 
 
 @kernel
-def _between(
+def _normals_between(
     pairs: Integers, centre: Floats, body: Integers, radius: Floats, first: int
 ) -> tuple[Integers, Integers, Floats, Floats, Floats]:
     """Fields of :class:`Touches` of balls and balls."""

@@ -50,8 +50,8 @@ class Torsion(Named):
     def bind(self, bodies: Bodies) -> Acting:
         """Return its torques."""
         place, freedom = bodies.freedom(self.hinge, self.label)
-        rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
-        values = read_only([(self.stiffness, rest, self.damping)])
+        rest_angle = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
+        values = read_only([(self.stiffness, rest_angle, self.damping)])
         row = Torsions(read_only([place], np.int64), read_only([freedom], np.int64), values)
         return Acting(row if self.stiffness else None, damping=row if self.damping else None, inside=True)
 

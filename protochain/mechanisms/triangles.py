@@ -80,15 +80,15 @@ def least_distances(
                 other -= 1
             while other < n and near[other, 0] == i and not hidden:
                 if other != k and length(subtract(at, nearest(at, corners, near[other, 1])[0])) <= same:
-                    there = (points[other, 0], points[other, 1], points[other, 2])
-                    hidden = other < k or inside[other] or length(subtract(at, there)) > same
+                    nearest_other = (points[other, 0], points[other, 1], points[other, 2])
+                    hidden = other < k or inside[other] or length(subtract(at, nearest_other)) > same
                 other += 1
             if hidden:
                 continue
         kept[count] = k
         count += 1
-    pair, point, apart = np.empty((count, 2), np.int64), np.empty((count, 3)), np.empty(count)
+    pair, point, separation = np.empty((count, 2), np.int64), np.empty((count, 3)), np.empty(count)
     for k in range(count):
-        pair[k, 0], pair[k, 1], apart[k] = near[kept[k], 0], near[kept[k], 1], distance[kept[k]]
+        pair[k, 0], pair[k, 1], separation[k] = near[kept[k], 0], near[kept[k], 1], distance[kept[k]]
         point[k, 0], point[k, 1], point[k, 2] = points[kept[k], 0], points[kept[k], 1], points[kept[k], 2]
-    return pair, point, apart
+    return pair, point, separation

@@ -11,8 +11,8 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, flag, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
-from protochain.core.extras import library
 from protochain.core.graph import components, neighbours
+from protochain.core.optional_libraries import library
 from protochain.core.storage import write_text
 from protochain.ligands.matching import named_as
 from protochain.ligands.molecule import Molecule, to_rdkit

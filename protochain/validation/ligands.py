@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, distance
 from protochain.core.errors import ProtochainError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import quietly, to_rdkit

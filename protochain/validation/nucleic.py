@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES

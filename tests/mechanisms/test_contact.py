@@ -11,7 +11,7 @@ from protochain.mechanics.motion import DormandPrince, RungeKutta4, StepTooLarge
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.contact import Friction, Law, flores, lankarani_nikravesh, real_restitution
 from protochain.mechanisms.contact_forces import Anchors
-from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches, _between
+from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches, _normals_between
 from protochain.mechanisms.triangles import nearest
 
 G = 9.81
@@ -310,7 +310,9 @@ def test_an_anchor_goes_along_to_one_other_triangle_and_never_to_two(anchored, t
 def test_two_balls_touch_in_the_middle_of_their_overlap():
     centre, radius = np.array([[0.1, 0.2, 0.3], [0.4, -0.2, 0.5]]), np.array([0.4, 0.25])
     for i, j in ((0, 1), (1, 0)):
-        pair, ends, place, out, depth = _between(np.array([[i, j]]), centre, np.array([3, 7]), radius, 0)
+        pair, ends, place, out, depth = _normals_between(
+            np.array([[i, j]]), centre, np.array([3, 7]), radius, 0
+        )
         up = (centre[i] - centre[j]) / np.linalg.norm(centre[i] - centre[j])
         surfaces = centre[i] - radius[i] * up, centre[j] + radius[j] * up
         assert place[0] == pytest.approx(np.mean(surfaces, axis=0), abs=ROUND_OFF)

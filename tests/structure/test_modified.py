@@ -7,7 +7,7 @@ from fixtures import covalent
 from fixtures.modified import component, modified
 
 import protochain as pc
-from protochain.core import extras
+from protochain.core import optional_libraries
 from protochain.core.errors import StructureError
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
@@ -181,7 +181,7 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     from protochain.structure.preparation import capped
 
     capped._parametrised.cache_clear()
-    monkeypatch.setattr(extras.importlib, "import_module", absent)
+    monkeypatch.setattr(optional_libraries.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
 

@@ -73,10 +73,10 @@ class Leapfrog(Integrator):
         kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
         if system.constraint is None:
             return kicked
-        there = system.with_velocities(kicked, kicked.qd)
+        workspace = system.with_velocities(kicked, kicked.qd)
         # The power at the end is that of velocities on the constraint.
-        work = kicked.work + 0.5 * time_step * (there.power - kicked.power)
-        return there if kicked.loads is None else replace(there, work=work)
+        work = kicked.work + 0.5 * time_step * (workspace.power - kicked.power)
+        return workspace if kicked.loads is None else replace(workspace, work=work)
 
     def check_return(self, system: Equations, before: Phase, after: Phase, time_step: float) -> None:
         """Check without an energy that a step backwards ends at the start of the step, by its drift."""
@@ -94,13 +94,13 @@ class Leapfrog(Integrator):
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
     """Move for one time step without a potential, by the midpoint rule."""
     # p (n_v,) -> (n_q,): Coordinates, momenta and factors of M at the end.
-    tree, there = at.factors.tree, Workspace.like(at)
+    tree, workspace = at.factors.tree, Workspace.like(at)
     q, p = at.q.copy(), p.copy()
     try:
-        failed = _drift(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *there)
+        failed = _drift(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *workspace)
     except np.linalg.LinAlgError:
         failed = True
-    return q, p, there.factors(tree, failed)
+    return q, p, workspace.factors(tree, failed)
 
 
 class Workspace(NamedTuple):
@@ -126,8 +126,8 @@ class Workspace(NamedTuple):
         """Return the frames and factors of a drift that has succeeded."""
         if failed:
             raise StepTooLargeError("no velocities solve the equations of the time step")
-        rotation, origin, *rest = (frozen(array) for array in self)
-        return Articulated(tree, Frames(rotation, origin), *rest)
+        rotation, origin, *arrays = (frozen(array) for array in self)
+        return Articulated(tree, Frames(rotation, origin), *arrays)
 
 
 @kernel

@@ -31,13 +31,13 @@ _NOISE = 1e-10
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
     """Drift by the Lobatto pair. Parameters as for :func:`protochain.mechanics.motion.leapfrog.drift`."""
-    tree, there = at.factors.tree, Workspace.like(at)
+    tree, workspace = at.factors.tree, Workspace.like(at)
     q, qd, end, old = at.q.copy(), at.qd.copy(), np.empty_like(p), at.factors
     failed = _drift(
         tree.links, tree.bodies, old.frames.rotation, old.frames.origin, old.gain, old.pivot, old.root,
-        p, 0.5 * time_step, q, qd, end, *there,
+        p, 0.5 * time_step, q, qd, end, *workspace,
     )  # fmt: skip
-    return q, end, there.factors(tree, failed)
+    return q, end, workspace.factors(tree, failed)
 
 
 @kernel

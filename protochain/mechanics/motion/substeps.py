@@ -30,32 +30,32 @@ def in_substeps(
     most: int | None = None,
 ) -> Phase:
     """Advance by one time step, in as many substeps as the tolerance requires."""
-    start, done, part = at.time, 0.0, time_step
-    why, fault = "", None
+    start, elapsed, part = at.time, 0.0, time_step
+    cause, fault = "", None
     most = most or _MOST
     for _ in range(most):
-        if not abs(time_step - done) > 1e-12 * abs(time_step):
+        if not abs(time_step - elapsed) > 1e-12 * abs(time_step):
             return system.at_time(at, start + time_step)
-        part = part if abs(part) < abs(time_step - done) else time_step - done
+        part = part if abs(part) < abs(time_step - elapsed) else time_step - elapsed
         if abs(part) <= least * abs(time_step):
-            raise StepTooLargeError(f"no substep of the time step is accurate{why}", fault=fault)
+            raise StepTooLargeError(f"no substep of the time step is accurate{cause}", fault=fault)
         try:
             after, moved, quickened = substep(at, part)
             errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.units
             size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
-            why, fault = "", None
+            cause, fault = "", None
         except (MechanicsError, StepTooLargeError) as error:
             # A stage has diverged to NaN, or come where there is no motion, or where no loop closes.
-            size, why, fault = np.nan, f" ({error})", error.fault
+            size, cause, fault = np.nan, f" ({error})", error.fault
         # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
         factor = min(5.0, max(0.2, 0.9 * size ** (-1.0 / order))) if np.isfinite(size) and size > 0.0 else 0.2
         if size <= 1.0:
-            done += part
+            elapsed += part
             at = after
         elif factor > 0.9:
             factor = 0.9
         part *= 5.0 if size == 0.0 else factor
     raise StepTooLargeError(
-        f"{most} substeps make only {done / time_step:.1g} of the time step: something is too stiff for "
+        f"{most} substeps make only {elapsed / time_step:.1g} of the time step: something is too stiff for "
         "this method or its tolerance"
     )

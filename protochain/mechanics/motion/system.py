@@ -194,9 +194,9 @@ class Integrator(Protocol):
         refuse_departure(system, self.step(system, after, -time_step).q, before.q)
 
 
-def refuse_departure(system: "Equations", q: Floats, wanted: Floats) -> None:
+def refuse_departure(system: "Equations", q: Floats, start: Floats) -> None:
     """Raise if a step back has other coordinates than the start of the step."""
-    if not np.max(np.abs(q - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
+    if not np.max(np.abs(q - start) / system.coordinate_units, initial=0.0) < RETURNED:
         raise StepTooLargeError("the time step cannot be taken back")
 
 
@@ -294,7 +294,7 @@ class Equations:
 
     def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
         """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
-        a, b, wrong = (h * weights for weights in tableau.arrays)
+        a, b, error_weights = (h * weights for weights in tableau.arrays)
         slopes, accelerations = np.zeros((len(b), self.n_v)), np.zeros((len(b), self.n_v))
         # The sum of a row of the tableau is the time of its stage.
         times, powers = at.time + np.sum(a, axis=1), []
@@ -311,7 +311,7 @@ class Equations:
                 powers.append(loads @ qd)
         q, qd = self.integrate(at.q, b @ slopes), at.qd + b @ accelerations
         work = at.work + b @ powers if powers else at.work
-        return self.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations
+        return self.at(q, qd, at.time + h, work), error_weights @ slopes, error_weights @ accelerations
 
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) that the joints of loops allow, and their torques. Here they allow all."""

@@ -171,14 +171,14 @@ def factorise(
             if slide == 0.0:
                 # Most hinges only turn: half the work.
                 g, h = algebra.symmetric_times(i, axis), algebra.turned_back(c, axis)
-                d, whole = dot(axis, g), i[0] + i[3] + i[5]
+                d, total_inertia = dot(axis, g), i[0] + i[3] + i[5]
             else:
                 g, h = algebra.inertia_times(articulated, scale(turn, axis), scale(slide, axis))
                 d = turn * dot(axis, g) + slide * dot(axis, h)
-                whole = turn * turn * (i[0] + i[3] + i[5]) + slide * slide * (m[0] + m[3] + m[5])
+                total_inertia = turn * turn * (i[0] + i[3] + i[5]) + slide * slide * (m[0] + m[3] + m[5])
             if bodies[b, ARMATURE] > 0.0:
                 d += bodies[b, ARMATURE]
-            if not d > ROUND_OFF * whole:
+            if not d > ROUND_OFF * total_inertia:
                 return b
             pivot[b] = d
             inverse = 1.0 / d

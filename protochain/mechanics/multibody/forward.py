@@ -56,16 +56,16 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     loads = np.zeros((tree.n_bodies, 6))
     if wrench is not None:
         loads += finite(wrench, loads.shape, "wrench")
-    return _solved(tree, q, qd, finite(tau, (tree.n_v,), "tau").copy(), loads)
+    return _solve(tree, q, qd, finite(tau, (tree.n_v,), "tau").copy(), loads)
 
 
 def accelerations(tree: Tree, q: Floats, qd: Floats, tau: Floats) -> Floats:
     """Accelerations (n_v,) as :func:`forward_dynamics`, of motions that may diverge."""
     q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
-    return _solved(tree, q, qd, floats(tau, (tree.n_v,), "tau").copy(), np.zeros((tree.n_bodies, 6)))
+    return _solve(tree, q, qd, floats(tau, (tree.n_v,), "tau").copy(), np.zeros((tree.n_bodies, 6)))
 
 
-def _solved(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floats:
+def _solve(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floats:
     """Overwrite torques in ``x`` by accelerations, and the external ``loads``."""
     if not tree.is_plain:
         return _by_parts(tree, q, qd, x, loads)
@@ -75,10 +75,10 @@ def _solved(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floa
 
 def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> Floats:
     """Accelerations by separate sweeps, if hinges are driven or bodies have no mass."""
-    frames, given = pose(tree, q), np.zeros(tree.n_v)
-    given[tree.driven_v] = x[tree.driven_v]
-    loads = newton_euler.inertial_loads(tree, frames, qd, given) - wrench
-    return solve(articulate(tree, frames), x, loads) + given
+    frames, prescribed = pose(tree, q), np.zeros(tree.n_v)
+    prescribed[tree.driven_v] = x[tree.driven_v]
+    loads = newton_euler.inertial_loads(tree, frames, qd, prescribed) - wrench
+    return solve(articulate(tree, frames), x, loads) + prescribed
 
 
 @kernel

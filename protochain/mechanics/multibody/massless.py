@@ -19,14 +19,14 @@ def unresisted(
     """Return the first body without mass whose pivot is rounding error, or -1."""
     # Its inertia is what the hinges outward of it leave of the bodies' there, so that its pivot is held
     # against that of the same bodies with these hinges locked: at a gimbal lock nothing but rounding is left.
-    whole = np.zeros((len(bodies), 21))
+    total_inertia = np.zeros((len(bodies), 21))
     for b in range(len(bodies) - 1, -1, -1):
         p, n_v = links[b, PARENT], links[b + 1, V] - links[b, V]
         if bodies[b, MASS] > 0.0:
             for i in range(21):
-                whole[b, i] = packed[b, i]
+                total_inertia[b, i] = packed[b, i]
         else:
-            axis, locked = algebra.hinge_axis(rotation, b), algebra.inertia(whole, b)
+            axis, locked = algebra.hinge_axis(rotation, b), algebra.inertia(total_inertia, b)
             for j in range(n_v):
                 omega, u = algebra.freedom(axis, bodies[b, TURN], bodies[b, SLIDE], n_v, j)
                 moment, force = algebra.inertia_times(locked, omega, u)
@@ -35,5 +35,7 @@ def unresisted(
                     return b
         if p >= 0:
             arm = algebra.lever(origin, b, p)
-            algebra.add_inertia(algebra.shifted_inertia(algebra.inertia(whole, b), arm), whole, p)
+            algebra.add_inertia(
+                algebra.shifted_inertia(algebra.inertia(total_inertia, b), arm), total_inertia, p
+            )
     return -1

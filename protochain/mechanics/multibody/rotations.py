@@ -56,7 +56,7 @@ def turn_by(xi: Vector, x: Vector) -> Vector:
         a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0 * (1.0 - t2 / 72.0)))
     else:
         a = np.sin(t) / t
-    return _mapped(xi, x, a, _versine(t2))
+    return _series_map(xi, x, a, _versine(t2))
 
 
 @kernel
@@ -68,7 +68,7 @@ def tangent(xi: Vector, x: Vector) -> Vector:
         c = (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0 * (1.0 - t2 / 72.0 * (1.0 - t2 / 110.0)))) / 6.0
     else:
         c = (t - np.sin(t)) / (t2 * t)
-    return _mapped(xi, x, _versine(t2), c)
+    return _series_map(xi, x, _versine(t2), c)
 
 
 @kernel
@@ -80,11 +80,11 @@ def tangent_inverse(xi: Vector, x: Vector) -> Vector:
         d = 1.0 / 12.0 + t2 / 720.0 + t2 * t2 / 30240.0 + t2 * t2 * t2 / 1209600.0
     else:
         d = (1.0 - 0.5 * t / np.tan(0.5 * t)) / t2
-    return _mapped(xi, x, -0.5, d)
+    return _series_map(xi, x, -0.5, d)
 
 
 @kernel
-def _mapped(xi: Vector, x: Vector, first: float, second: float) -> Vector:
+def _series_map(xi: Vector, x: Vector, first: float, second: float) -> Vector:
     """Sum x + first K x + second K^2 x."""
     y = cross(xi, x)
     return add(x, add(scale(first, y), scale(second, cross(xi, y))))

@@ -10,11 +10,11 @@ from protochain.mechanics.multibody.algebra import kernel
 def cholesky(a: Floats, n: int) -> bool:
     """Overwrite the lower triangle of a's first n rows by L, L L^T = a. Return False if a is not positive."""
     for j in range(n):
-        whole = a[j, j]
+        diagonal = a[j, j]
         for k in range(j):
             a[j, j] -= a[j, k] * a[j, k]
         # A pivot whose digits have all cancelled is rounding error.
-        if not a[j, j] > 1e-15 * whole:
+        if not a[j, j] > 1e-15 * diagonal:
             return False
         a[j, j] = np.sqrt(a[j, j])
         for i in range(j + 1, n):

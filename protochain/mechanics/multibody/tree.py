@@ -113,7 +113,7 @@ class Tree(Value):
             _refuse(~np.isfinite(array), f"its {name} is not finite")
             object.__setattr__(self, name, array)
         _check_topology(self)
-        object.__setattr__(self, "driven", _driven(self))
+        object.__setattr__(self, "driven", _check_driven(self))
         _check_geometry(self)
         _check_inertia(self)
 
@@ -299,11 +299,11 @@ def _squared_cross(c: Floats) -> Floats:
     return np.sum(c * c, axis=1)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
 
 
-def _refuse(bad: np.ndarray, why: str, values: Any = None, fault: Fault | None = None) -> None:
+def _refuse(mask: np.ndarray, reason: str, values: Any = None, fault: Fault | None = None) -> None:
     """Raise if any body is invalid. ``why`` may have a place for the value of the first one."""
-    if np.any(bad):
-        b = int(np.argwhere(bad)[0][0])
-        raise BodyError(b, why if values is None else why.format(values[b]), fault)
+    if np.any(mask):
+        b = int(np.argwhere(mask)[0][0])
+        raise BodyError(b, reason if values is None else reason.format(values[b]), fault)
 
 
 def _check_topology(tree: Tree) -> None:
@@ -312,8 +312,10 @@ def _check_topology(tree: Tree) -> None:
     _refuse(late, "its parent {} must come before it", tree.parent)
     _refuse(~np.isin(tree.kind, list(HingeKind)), "{} is not a kind of hinge", tree.kind)
     free = tree.kind == HingeKind.FREE
-    wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
-    _refuse(wrong, "only a root can be free, and then without a placement: its coordinates are the world's")
+    is_wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
+    _refuse(
+        is_wrong, "only a root can be free, and then without a placement: its coordinates are the world's"
+    )
     first = np.flatnonzero(tree.kind == HingeKind.BALL)
     axes = np.flatnonzero(tree.kind == HingeKind.BALL_AXIS)
     if not np.array_equal(axes, (first[:, None] + [1, 2]).ravel()) or not (
@@ -325,7 +327,7 @@ def _check_topology(tree: Tree) -> None:
         raise BodyError(int((*first, *axes)[0]), "a ball is three bodies in one place; see Tree")
 
 
-def _driven(tree: Tree) -> NDArray[np.bool_] | None:
+def _check_driven(tree: Tree) -> NDArray[np.bool_] | None:
     """Return the checked mask of driven bodies, or None if no hinge is driven."""
     if tree.driven is None:
         return None
@@ -334,9 +336,9 @@ def _driven(tree: Tree) -> NDArray[np.bool_] | None:
         raise MechanicsError(
             f"driven of a tree of {n} bodies is {driven.dtype} of shape {driven.shape}, not bool of ({n},)"
         )
-    wrong = driven & ((np.diff(tree.v_start) != 1) | (tree.kind >= HingeKind.BALL))
+    is_wrong = driven & ((np.diff(tree.v_start) != 1) | (tree.kind >= HingeKind.BALL))
     names = [HingeKind(kind).name for kind in tree.kind]
-    _refuse(wrong, "only a hinge of one freedom can be driven, not a {} one", names)
+    _refuse(is_wrong, "only a hinge of one freedom can be driven, not a {} one", names)
     return read_only(driven, np.bool_) if np.any(driven) else None
 
 
@@ -353,8 +355,8 @@ def _check_inertia(tree: Tree) -> None:
     _refuse(ghost, "it has inertia but no mass")
     turned = np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
     skew = turned > 1e-9 * np.abs(tree.inertia).max(axis=(1, 2), initial=0.0)
-    wrong = skew | ~(is_inertia(tree.inertia) | nominal)
-    _refuse(wrong, "its inertia is not that of any rigid body")
+    is_wrong = skew | ~(is_inertia(tree.inertia) | nominal)
+    _refuse(is_wrong, "its inertia is not that of any rigid body")
     assert tree.armature is not None
     _refuse(tree.armature < 0, "its armature {:g} must not be negative", tree.armature)
     moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven & (tree.armature == 0.0)
@@ -375,8 +377,8 @@ def is_inertia(tensor: Floats) -> NDArray[np.bool_]:
     """Whether distributions of mass have these symmetric tensors (n, 3, 3) about their centres: (n,) bool."""
     moments = np.linalg.eigvalsh(tensor)
     # No moment exceeds the sum of the other two.
-    most = 1e-9 * np.sum(moments, axis=1)
-    return (moments[:, 2] - moments[:, 1] - moments[:, 0] <= most) & (moments[:, 2] >= 0.0)
+    tolerance = 1e-9 * np.sum(moments, axis=1)
+    return (moments[:, 2] - moments[:, 1] - moments[:, 0] <= tolerance) & (moments[:, 2] >= 0.0)
 
 
 def _carries_nothing(tree: Tree) -> np.ndarray:

@@ -36,10 +36,10 @@ def cosines_and_sines(angle: Floats, cosine: Floats, sine: Floats) -> None:
         small_cosine = 1.0 - 0.5 * z + z * z * tail
         # Quarter turns: odd ones swap sine and cosine, two of them change signs.
         half = np.floor(0.5 * quarter)
-        odd = quarter - 2.0 * half
+        parity = quarter - 2.0 * half
         sign = 1.0 - 2.0 * (half - 2.0 * np.floor(0.5 * half))
-        cosine[i] = sign * ((1.0 - odd) * small_cosine - odd * small_sine)
-        sine[i] = sign * ((1.0 - odd) * small_sine + odd * small_cosine)
+        cosine[i] = sign * ((1.0 - parity) * small_cosine - parity * small_sine)
+        sine[i] = sign * ((1.0 - parity) * small_sine + parity * small_cosine)
         beyond += not abs(x) < _LARGEST
     if beyond:
         for i in range(len(angle)):

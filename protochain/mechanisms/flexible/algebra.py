@@ -64,12 +64,12 @@ def along(columns: Floats, i: int, s: int, wrench: Floats) -> float:
 @kernel
 def gathered(links: Integers, origin: Floats, wrench: Floats, b: int) -> tuple[Vector, Vector]:
     """Wrenches of all nodes of body b, as one about its origin."""
-    frame, whole, total = links[b, NODE], ZERO, ZERO
+    frame, moment_sum, total = links[b, NODE], ZERO, ZERO
     for i in range(frame, links[b + 1, NODE]):
         moment, force = algebra.pair(wrench, i)
-        whole = add(whole, add(moment, cross(between(origin, frame, i), force)))
+        moment_sum = add(moment_sum, add(moment, cross(between(origin, frame, i), force)))
         total = add(total, force)
-    return whole, total
+    return moment_sum, total
 
 
 @kernel

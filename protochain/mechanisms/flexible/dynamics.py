@@ -47,7 +47,7 @@ def mass_matrix(flexible: Flexible, bent: Bent) -> Blocks:
 
 def pull_back(flexible: Flexible, bent: Bent, wrench: Floats) -> Floats:
     """Torques (n_v,) of wrenches (nn, 6) on the nodes about their places, world axes: J^T wrench. O(n)."""
-    return _pulled(flexible, bent, floats(wrench, (len(bent.origin), 6), "wrench").copy())
+    return _pull_back(flexible, bent, floats(wrench, (len(bent.origin), 6), "wrench").copy())
 
 
 def inverse_dynamics(
@@ -93,7 +93,7 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     bent = bend(flexible, q)
     twists, changes = _twists(flexible, bent, q, qd)
     felt = _momenta_of_nodes(flexible, bent, twists)
-    p, gradient = _pulled(flexible, bent, felt) + flexible.rotors * qd, np.empty(flexible.n_v)
+    p, gradient = _pull_back(flexible, bent, felt) + flexible.rotors * qd, np.empty(flexible.n_v)
     kernels.put_gradient(
         flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
         gradient,
@@ -104,7 +104,7 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
 def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
     """Product M x (n_v,) without forming M. O(n)."""
     felt = _momenta_of_nodes(flexible, bent, velocities(flexible, bent, x))
-    return _pulled(flexible, bent, felt) + flexible.rotors * x
+    return _pull_back(flexible, bent, felt) + flexible.rotors * x
 
 
 def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
@@ -114,7 +114,7 @@ def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
     return np.concatenate([angular[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
 
 
-def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
+def _pull_back(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
     """J^T felt (nn, 6), which is overwritten by the loads that the nodes carry."""
     tau = np.empty(flexible.n_v)
     kernels.put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
@@ -145,4 +145,4 @@ def _torques(
     )  # fmt: skip
     if wrench is not None:
         loads -= floats(wrench, loads.shape, "wrench")
-    return _pulled(flexible, bent, loads) + flexible.rotors * qdd
+    return _pull_back(flexible, bent, loads) + flexible.rotors * qdd

@@ -47,12 +47,12 @@ class BendingSystem(Equations):
 
     @cached_property
     def _of_shapes(self) -> Floats:
-        most = [
+        amounts = [
             np.maximum(np.abs(s.moves).max(axis=(0, 1)) / self.tree.size, np.abs(s.turns).max(axis=(0, 1)))
             for s in self.flexible.shapes
             if s is not None
         ]
-        return 1.0 / np.concatenate([np.zeros(0), *most])
+        return 1.0 / np.concatenate([np.zeros(0), *amounts])
 
     def factors(self, q: Floats) -> Any:
         """Frames of all nodes at q (n_q,)."""

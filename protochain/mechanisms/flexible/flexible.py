@@ -120,12 +120,12 @@ class Flexible(Value):
     @cached_property
     def sections(self) -> Shapes:
         """All nodes, padded to the largest number of shapes. The stiffness is unused."""
-        most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
-        nodes = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
+        n_most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
+        nodes = [_nodes(self.tree, b, shapes, n_most) for b, shapes in enumerate(self.shapes)]
         place, mass, inertia, moves, turns, shortening = (
             np.concatenate(part) for part in zip(*nodes, strict=True)
         )
-        return Shapes(place, mass, inertia, moves, turns, shortening, np.zeros((most, most)))
+        return Shapes(place, mass, inertia, moves, turns, shortening, np.zeros((n_most, n_most)))
 
     @cached_property
     def links(self) -> Integers:
@@ -163,20 +163,20 @@ class Flexible(Value):
     @cached_property
     def springs(self) -> tuple[Floats, Integers]:
         """(nb, K, K) float: stiffness of each body, and (nb, K) int: its amplitudes, -1 for none."""
-        counts, most = np.diff(self.shape_start), len(self.sections.stiffness)
-        stiffness = np.zeros((len(counts), most, most))
+        counts, n_most = np.diff(self.shape_start), len(self.sections.stiffness)
+        stiffness = np.zeros((len(counts), n_most, n_most))
         for b, shapes in enumerate(self.shapes):
             if shapes is not None:
                 stiffness[b, : counts[b], : counts[b]] = shapes.stiffness
-        place = (self.shape_start[:-1] - self.tree.n_v)[:, None] + np.arange(most)
-        place = np.where(np.arange(most) < counts[:, None], place, -1)
+        place = (self.shape_start[:-1] - self.tree.n_v)[:, None] + np.arange(n_most)
+        place = np.where(np.arange(n_most) < counts[:, None], place, -1)
         return read_only(stiffness), read_only(place, np.int64)
 
     def node(self, body: int, section: int = -1) -> int:
         """Number of a node: of a section of a body, or by default of its frame."""
-        most = int(self.node_start[body + 1] - self.node_start[body]) - 1
-        if not -1 <= section < most:
-            raise BodyError(body, f"it has no section {section}; give one from 0 to {most - 1}, or -1")
+        n_most = int(self.node_start[body + 1] - self.node_start[body]) - 1
+        if not -1 <= section < n_most:
+            raise BodyError(body, f"it has no section {section}; give one from 0 to {n_most - 1}, or -1")
         return int(self.node_start[body]) + 1 + section
 
     @property
@@ -204,8 +204,8 @@ class Bent(Value):
 def bend(flexible: Flexible, q: Floats) -> Bent:
     """Frames of all bodies and sections at q, by one outward sweep."""
     place, _, _, moves, turns, shortening = flexible.arrays
-    n, most = len(place), moves.shape[1]
-    rotation, origin, columns = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, most, 6))
+    n, n_most = len(place), moves.shape[1]
+    rotation, origin, columns = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, n_most, 6))
     put_frames(
         flexible.links, flexible.seats, place, moves, turns, shortening, floats(q, (flexible.n_q,), "q"),
         rotation, origin, columns,
@@ -232,7 +232,7 @@ def elastic(flexible: Flexible, q: Floats) -> tuple[float, Floats]:
     return 0.5 * float(np.vdot(pull, eta)), torque
 
 
-def _nodes(tree: Tree, b: int, shapes: Shapes | None, most: int) -> tuple[Floats, ...]:
+def _nodes(tree: Tree, b: int, shapes: Shapes | None, n_most: int) -> tuple[Floats, ...]:
     """Fields of a body's shapes but the stiffness, for ``most`` shapes, its frame as the first section."""
     if shapes is None:
         fields: tuple[Floats, ...] = (
@@ -241,9 +241,9 @@ def _nodes(tree: Tree, b: int, shapes: Shapes | None, most: int) -> tuple[Floats
         )  # fmt: skip
     else:
         fields = (shapes.place, shapes.mass, shapes.inertia, shapes.moves, shapes.turns, shapes.shortening)
-    more = most - fields[3].shape[2]
+    n_missing = n_most - fields[3].shape[2]
     frame = [(1, 0)]
-    widths = [[], [], [], [(0, more)], [(0, more)], [(0, more)] * 2]
+    widths = [[], [], [], [(0, n_missing)], [(0, n_missing)], [(0, n_missing)] * 2]
     return tuple(
         np.pad(field, frame + [(0, 0)] * (field.ndim - 1 - len(width)) + width)
         for field, width in zip(fields, widths, strict=True)

@@ -193,38 +193,38 @@ def solve_bent(
     """Overwrite tau in x by M^-1 tau. Return the first body without a pivot, or -1."""
     # The rates of a body's amplitudes and its twist V have the matrix summed over its nodes of F^T I F, with
     # F = [columns, X] and X what moves V to the node. Amplitudes are eliminated first, then the hinge.
-    n, most = len(links) - 1, columns.shape[1]
+    n, n_most = len(links) - 1, columns.shape[1]
     carried, load = np.zeros((len(origin), 6, 6)), np.zeros((len(origin), 6))
-    rows, gains = np.empty((n, most, most + 7)), np.zeros((n, 7))
-    roots, f, g = np.empty((n, 6, 7)), np.empty((most + 6, 6)), np.empty((most + 6, 6))
-    whole, h, weighs = np.empty((most + 6, most + 7)), np.empty(6), mass > 0.0
+    rows, gains = np.empty((n, n_most, n_most + 7)), np.zeros((n, 7))
+    roots, f, g = np.empty((n, 6, 7)), np.empty((n_most + 6, 6)), np.empty((n_most + 6, 6))
+    system_matrix, h, weighs = np.empty((n_most + 6, n_most + 7)), np.empty(6), mass > 0.0
     for b in range(n - 1, -1, -1):
         c, frame, j, k = links[b, CARRIER], links[b, NODE], links[b, SHAPE], links[b, V]
         n_shapes, n_v = links[b + 1, SHAPE] - j, links[b + 1, V] - k
         size = n_shapes + 6
-        whole[:] = 0.0
+        system_matrix[:] = 0.0
         for i in range(frame, links[b + 1, NODE]):
             if weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0:
                 nodes.spread(columns, between(origin, frame, i), i, n_shapes, f)
-                _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, whole)
+                _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, system_matrix)
         for s in range(n_shapes):
-            whole[s, size] += x[j + s]
-        if not _eliminate(whole, 0, n_shapes, size):
+            system_matrix[s, size] += x[j + s]
+        if not _eliminate(system_matrix, 0, n_shapes, size):
             return b
         for s in range(n_shapes):
             for m in range(s, size + 1):
-                rows[b, s, m] = whole[s, m]
+                rows[b, s, m] = system_matrix[s, m]
         if n_v == 6:
             for m in range(6):
-                whole[n_shapes + m, size] += x[k + m]
-                whole[n_shapes + m, n_shapes + m] += seats[b, ARMATURE]
-            if not _eliminate(whole, n_shapes, size, size):
+                system_matrix[n_shapes + m, size] += x[k + m]
+                system_matrix[n_shapes + m, n_shapes + m] += seats[b, ARMATURE]
+            if not _eliminate(system_matrix, n_shapes, size, size):
                 return b
             for r in range(6):
                 for m in range(r, 7):
-                    roots[b, r, m] = whole[n_shapes + r, n_shapes + m]
+                    roots[b, r, m] = system_matrix[n_shapes + r, n_shapes + m]
             continue
-        p = _mirrored(whole[n_shapes:, n_shapes:])
+        p = _mirror(system_matrix[n_shapes:, n_shapes:])
         if n_v == 1 and links[b, LOCKED] == 0:
             axis = algebra.hinge_axis(rotation, frame)
             turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], 1, 0)
@@ -243,7 +243,7 @@ def solve_bent(
 @kernel
 def _add_node(
     i: int, size: int, mass: float, rotation: Floats, inertia: Floats, carried: Floats, load: Floats,
-    f: Floats, g: Floats, whole: Floats,
+    f: Floats, g: Floats, system_matrix: Floats,
 ) -> None:  # fmt: skip
     """Add F^T I F of a node, with its carried bodies, to its body's matrix. The load is the last column."""
     for r in range(size):
@@ -255,13 +255,13 @@ def _add_node(
     for r in range(size):
         for s in range(r, size):
             for m in range(6):
-                whole[r, s] += f[r, m] * g[s, m]
+                system_matrix[r, s] += f[r, m] * g[s, m]
         for m in range(6):
-            whole[r, size] -= f[r, m] * load[i, m]
+            system_matrix[r, size] -= f[r, m] * load[i, m]
 
 
 @kernel
-def _mirrored(p: Floats) -> Floats:
+def _mirror(p: Floats) -> Floats:
     """Copy the upper triangle of a body's 6x6 matrix to the lower one, in place."""
     for r in range(6):
         for m in range(r):
@@ -343,23 +343,23 @@ def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
 @kernel
 def _pass_hinge(p: Floats, h: Floats, armature: float, tau: float, gain: Floats) -> bool:
     """Overwrite P, and its last column -z, by their remainders past a hinge h. Write P h / D and its rate."""
-    pivot, passed, whole = armature, 0.0, 0.0
+    pivot, passed, total_inertia = armature, 0.0, 0.0
     for r in range(6):
         gain[r] = 0.0
         for m in range(6):
             gain[r] += p[r, m] * h[m]
             if r // 3 == m // 3:
-                whole += h[m] * h[m] * p[r, r]
+                total_inertia += h[m] * h[m] * p[r, r]
         pivot += h[r] * gain[r]
         passed += h[r] * p[r, 6]
-    if not pivot > ROUND_OFF * whole:
+    if not pivot > ROUND_OFF * total_inertia:
         return False
-    rest = tau + passed
+    remainder = tau + passed
     for r in range(6):
-        p[r, 6] -= gain[r] / pivot * rest
+        p[r, 6] -= gain[r] / pivot * remainder
         for m in range(6):
             p[r, m] -= gain[r] * gain[m] / pivot
     for r in range(6):
         gain[r] /= pivot
-    gain[6] = rest / pivot
+    gain[6] = remainder / pivot
     return True

@@ -57,8 +57,8 @@ def bound_of(w: Floats) -> float:
     if not len(w):
         return np.inf
     nn, nt, tt = w[np.ix_(normal, normal)], w[np.ix_(normal, ~normal)], w[np.ix_(~normal, ~normal)]
-    most = float(np.linalg.eigvalsh(tt)[-1])
-    if most <= _ROUND_OFF * np.abs(w).max():
+    largest = float(np.linalg.eigvalsh(tt)[-1])
+    if largest <= _ROUND_OFF * np.abs(w).max():
         return np.inf
     least = float(np.linalg.eigvalsh(nn - nt @ np.linalg.pinv(tt, _ROUND_OFF, hermitian=True) @ nt.T)[0])
-    return float(np.sqrt(least / most)) if least > _ROUND_OFF * np.abs(w).max() else 0.0
+    return float(np.sqrt(least / largest)) if least > _ROUND_OFF * np.abs(w).max() else 0.0

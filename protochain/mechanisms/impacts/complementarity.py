@@ -29,18 +29,18 @@ def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
     """Write impulses of an impact of k points by Poisson's law: of both phases, and of the compression."""
     # w, u (3 k, 3 k), mu, e (k,), out (2, 3 k).
     n = len(u)
-    floor, more, before = np.zeros(n // 3), np.zeros(n), u
+    floor, addition, before = np.zeros(n // 3), np.zeros(n), u
     low, high, part = 0.0, 1.0, 1.0
     for phase in range(40):
-        status = _unique(w, before, mu, floor, more)
+        status = _unique(w, before, mu, floor, addition)
         if status != SOLVED:
-            out[0] = more
+            out[0] = addition
             return status
         if phase == 0:
-            out[1] = more
-            before = u + w @ more
+            out[1] = addition
+            before = u + w @ addition
         else:
-            out[0] = out[1] + more
+            out[0] = out[1] + addition
             moved = w @ out[0]
             gain, size = 0.0, 0.0
             for i in range(n):
@@ -70,7 +70,7 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
         soft[i, i] += added
     x, before, shift = np.zeros(n), np.zeros(n), np.zeros(n)
     starts = 4 if np.max(mu) > 0.0 else 1
-    found = False
+    is_found = False
     for step in range(starts + _PROXIMAL):
         if step == 1 and starts > 1:
             # All points stick, with what impulse it takes.
@@ -86,11 +86,11 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
                     x[i + j] = sign * mu[i // 3] * x[i] * u[i + j] / slip if slip > 0.0 else 0.0
         elif step >= starts:
             # The shift that takes out what was added.
-            if not found:
+            if not is_found:
                 return UNSOLVED
             x[:] = out
             before[:] = out
-        solved = _solved(soft, u - added * before, mu, floor, x, 6 if step < starts else 2, step == 1)
+        solved = _solve(soft, u - added * before, mu, floor, x, 6 if step < starts else 2, step == 1)
         shift = x - out
         if step >= starts:
             if not solved:
@@ -99,21 +99,23 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
             out[:] = x
             if added * np.max(np.abs(shift)) <= _EXACT * np.max(np.abs(u)):
                 return SOLVED
-        elif solved and found:
+        elif solved and is_found:
             if np.max(np.abs(w @ shift)) > _OTHER * (np.max(np.abs(u)) + np.max(np.abs(w @ x))):
                 out[:] = shift
                 return SEVERAL
         elif solved:
             out[:] = x
-            found = True
+            is_found = True
     return SOLVED
 
 
 @kernel
-def _solved(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, most: int, backwards: bool) -> bool:
+def _solve(
+    w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, n_iterations: int, backwards: bool
+) -> bool:
     """Overwrite x by a solution. Return False if none is found."""
     sweeps = 4
-    for rounds in range(most):
+    for rounds in range(n_iterations):
         if _newton(w, u, mu, floor, x):
             return True
         _sweep(w, u, mu, floor, x, sweeps, backwards, 1.0 if rounds < 3 else 0.3)
@@ -156,7 +158,7 @@ def _newton(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats) -> bool:
     """Overwrite x by a root of the natural map, if Newton's method finds one from there."""
     n = len(u)
     y, residual, slope = x.copy(), np.empty(n), np.empty((n, n))
-    last, bad = np.inf, 0
+    last, n_stalled = np.inf, 0
     for _ in range(30):
         size = _natural_map(w, u, mu, floor, y, residual, slope)
         error = np.max(np.abs(residual))
@@ -166,9 +168,9 @@ def _newton(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats) -> bool:
         if not np.isfinite(error):
             return False
         # Pieces may be entered in turn, without end.
-        bad = bad + 1 if error > 0.5 * last else 0
+        n_stalled = n_stalled + 1 if error > 0.5 * last else 0
         last = min(last, error)
-        if bad > 6:
+        if n_stalled > 6:
             return False
         _eliminate(slope, residual)
         y -= residual

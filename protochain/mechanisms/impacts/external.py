@@ -37,12 +37,12 @@ def checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
     for body, blow in external.items():
         if isinstance(body, bool) or not isinstance(body, int | np.integer) or not 0 <= body < n:
             raise MechanicsError(f"external: there is no body {shown(body)}; give a number from 0 to {n - 1}")
-        said = f"external, body {body}"
+        label = f"external, body {body}"
         if not (isinstance(blow, tuple | list | np.ndarray) and len(blow) == 2):
-            raise MechanicsError(f"{said}: give a pair, (point, impulse)")
-        pair = floats(blow[0], (3,), f"{said}: point"), floats(blow[1], (3,), f"{said}: impulse")
-        for what, values in zip(("point", "impulse"), pair, strict=True):
+            raise MechanicsError(f"{label}: give a pair, (point, impulse)")
+        pair = floats(blow[0], (3,), f"{label}: point"), floats(blow[1], (3,), f"{label}: impulse")
+        for quantity, values in zip(("point", "impulse"), pair, strict=True):
             if not np.isfinite(values).all():
-                raise MechanicsError(f"{said}: its {what} is not finite", fault=Fault.NOT_FINITE)
+                raise MechanicsError(f"{label}: its {quantity} is not finite", fault=Fault.NOT_FINITE)
         impulses[int(body)] = pair
     return impulses

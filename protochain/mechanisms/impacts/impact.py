@@ -133,13 +133,13 @@ def impact(
         # Nothing happens where nothing can.
         take = np.flatnonzero(struck.movable)
         rows = (3 * take[:, None] + np.arange(3)).ravel()
-        some, chosen = struck.part(rows, take), [points[int(i)] for i in take]
+        subset, chosen = struck.part(rows, take), [points[int(i)] for i in take]
         if len(points) == 1:
-            local = _one(some, points[0], law)
+            local = _one(subset, points[0], law)
         elif order == "together":
-            local[:, rows] = _together(some, chosen)
+            local[:, rows] = _together(subset, chosen)
         else:
-            local[:, rows] = _in_turn(some, chosen, law)
+            local[:, rows] = _in_turn(subset, chosen, law)
     return _after(struck, local[0], local[1, ::3], work)
 
 
@@ -194,7 +194,9 @@ def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:
 
 
 def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str) -> None:
-    if isinstance(points, ContactPoint) or not all(isinstance(each, ContactPoint) for each in points):
+    if isinstance(points, ContactPoint) or not all(
+        isinstance(contact_point, ContactPoint) for contact_point in points
+    ):
         raise MechanicsError("points: give a list of them, as [ContactPoint(...)]")
     if not (isinstance(law, str) and law in _LAWS):
         raise MechanicsError(f"law {law!r} is not known; choose newton, poisson or stronge")
@@ -225,8 +227,8 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
     """(2, 3 k) float: impulses, and impulses of the compression. Without restitution if plastic."""
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
-    given = np.zeros(len(points)) if plastic else restitution
-    status = complementarity.restitute(struck.w, struck.u, friction, given, out)
+    bounce = np.zeros(len(points)) if plastic else restitution
+    status = complementarity.restitute(struck.w, struck.u, friction, bounce, out)
     if status != complementarity.SOLVED:
         # Of several solutions, where they differ most; otherwise where friction is highest.
         differ = np.linalg.norm(out[0].reshape(-1, 3), axis=1) * (friction > 0.0)
@@ -252,8 +254,8 @@ def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats
     if status != impulse_path.ENDLESS:
         _refuse(status, points[i])
         return out
-    rest = _together(replace(struck, u=struck.u + struck.w @ out[0]), points, plastic=True)
-    return out + rest
+    later = _together(replace(struck, u=struck.u + struck.w @ out[0]), points, plastic=True)
+    return out + later
 
 
 def _coefficients(points: Sequence[ContactPoint]) -> tuple[Floats, Floats]:

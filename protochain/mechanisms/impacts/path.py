@@ -185,7 +185,7 @@ def _curved_piece(
     before = _value(phase, _normal_velocity(of, y), y) - phase[2]
     factor = 1.0
     for _ in range(_TRIALS):
-        error = _curved(of, y, d, stage, new)
+        error = _embedded_step(of, y, d, stage, new)
         factor = min(5.0, max(0.2, 0.9 * (tolerance / max(error, 1e-30)) ** 0.2))
         if error <= tolerance:
             break
@@ -209,7 +209,7 @@ def _step_to_event(
         d = low + (high - low) * f_low / (f_low - f_high) if f_low < 0.0 else 0.5 * (low + high)
         if not low < d < high:
             d = 0.5 * (low + high)
-        _curved(of, y, d, stage, new)
+        _embedded_step(of, y, d, stage, new)
         f = _value(phase, _normal_velocity(of, new), new) - phase[2]
         if f >= 0.0:
             high, f_high = d, f
@@ -244,7 +244,7 @@ def _end_of_piece(restoring: bool, law: int, u_n: float, slope: float, left: flo
 
 
 @kernel
-def _curved(of: Contact, y: Floats, d: float, stage: Floats, new: Floats) -> float:
+def _embedded_step(of: Contact, y: Floats, d: float, stage: Floats, new: Floats) -> float:
     """Write the state a step d further. Return the estimate of its error."""
     mu = of[5]
     for i in range(7):
@@ -319,7 +319,7 @@ def follow_in_turn(
 ) -> tuple[int, int]:  # fmt: skip
     """Write impulses, and impulses of the compressions, of one point after the other, the fastest first."""
     # out (2, 3 k).
-    v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
+    v, block, local, state_of_point = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
     out[:] = 0.0
     i = 0
     for _ in range(turns):
@@ -330,8 +330,8 @@ def follow_in_turn(
         if i < 0:
             return DONE, 0
         block[:] = w[i : i + 3, i : i + 3]
-        own[:] = v[i : i + 3]
-        status = follow(block, own, mu[i // 3], e[i // 3], law, slow[i // 3], tolerance, local)
+        state_of_point[:] = v[i : i + 3]
+        status = follow(block, state_of_point, mu[i // 3], e[i // 3], law, slow[i // 3], tolerance, local)
         if status == LOST:
             # Of what approach is left, rounding errors are too large a part.
             return ENDLESS, i // 3

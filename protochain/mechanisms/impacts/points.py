@@ -107,19 +107,19 @@ class Struck:
         if loops is not None:
             m = len(loops.body)
             rows = Rows(np.concatenate([loops.body, rows.body]), np.concatenate([loops.wrench, rows.wrench]))
-        whole = bodies.inverse(rows)
+        inverse_inertia = bodies.inverse(rows)
         twists = twists_of(bodies, rows, qd)
         before = np.einsum("msk,msk->m", rows.wrench, twists)
-        w, u = whole[m:, m:], before[m:]
+        w, u = inverse_inertia[m:, m:], before[m:]
         closing, closed = np.zeros((m, len(u))), np.zeros(m)
         if m:
-            upper = factor_closed(whole[:m, :m])
-            closing, closed = -cho_solve(upper, whole[:m, m:]), -cho_solve(upper, before[:m])
-            w, u = w + whole[m:, :m] @ closing, u + whole[m:, :m] @ closed
+            upper = factor_closed(inverse_inertia[:m, :m])
+            closing, closed = -cho_solve(upper, inverse_inertia[:m, m:]), -cho_solve(upper, before[:m])
+            w, u = w + inverse_inertia[m:, :m] @ closing, u + inverse_inertia[m:, :m] @ closed
         w = np.ascontiguousarray(0.5 * (w + w.T))
         largest = np.einsum("msk,msk->m", np.abs(rows.wrench[m:]), np.abs(twists[m:]))
         slow = _APART * largest.reshape(-1, 3).max(axis=1, initial=0.0)
-        free = np.diagonal(whole)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
+        free = np.diagonal(inverse_inertia)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
         movable = np.diagonal(w)[::3] > _LOCKED * free
         return cls(bodies, qd, rows, axes, before, w, u.copy(), slow, movable, closing, closed)
 

@@ -14,7 +14,7 @@ from openmm import app, unit
 
 from protochain.core.checks import shown
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.member import atom

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly
 from protochain.structure.molecule.residues import BACKBONE
 

@@ -17,7 +17,7 @@ import numpy as np
 from protochain.core.arrays import read_only
 from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import ProtochainError, StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
 from protochain.ligands.dictionary import charges

@@ -12,7 +12,7 @@ from string import ascii_letters, digits
 import gemmi
 
 from protochain.core.errors import StructureError
-from protochain.core.extras import library
+from protochain.core.optional_libraries import library
 from protochain.structure.molecule.member import Member
 from protochain.structure.preparation.draft import Draft
 

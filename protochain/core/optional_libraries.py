@@ -7,7 +7,7 @@ from protochain.core.errors import ProtochainError
 
 
 def library(name: str, extra: str = "ligands") -> Any:
-    """Import a library of an extra, which starts late for those who need none."""
+    """Import a library of an extra at its first use."""
     try:
         return importlib.import_module(name)
     except ImportError:
