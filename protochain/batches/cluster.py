@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from protochain.batches.supervise import crew, started_early, supervise
 from protochain.core import defaults
-from protochain.core.checks import at_least, check_fields, limited, number, optional, text
+from protochain.core.checks import at_least, check_fields, in_range, number, optional, text
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.optional_libraries import library
 from protochain.core.processors import processors
@@ -59,7 +59,7 @@ class Processes:
     def __post_init__(self) -> None:
         check_fields(
             self, workers=optional(at_least(1)), scheduler=optional(text), threads=at_least(1),
-            time_limit=limited(number, lambda seconds: seconds > 0.0, "give a number above 0"),
+            time_limit=in_range(number, lambda seconds: seconds > 0.0, "give a number above 0"),
         )  # fmt: skip
 
     @property

@@ -14,7 +14,7 @@ from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.core.errors import ProtochainError, WriteError
-from protochain.core.storage import check_writable, claimed, regular, write_text
+from protochain.core.storage import check_writable, claim_folder, regular, write_text
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
@@ -108,7 +108,7 @@ class Tables:
         for file in files_of(folder, name):
             check_writable(file)
         self.folder, self._claim = folder, ExitStack()
-        self._claim.enter_context(claimed(folder, "batch", resume))
+        self._claim.enter_context(claim_folder(folder, "batch", resume))
         other = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
         files = self.summary, self.traces, folder / SETTINGS
         if force and not resume:

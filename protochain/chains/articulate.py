@@ -15,7 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, angle, cross, dihedral, dots, read_only
 from protochain.core.checks import checked, kinds, one_of, quantity, selection
 from protochain.core.errors import Argument, ChainError
-from protochain.core.graph import components, grouped
+from protochain.core.graph import components, group_members
 from protochain.core.settings import inheriting
 from protochain.core.timings import part
 from protochain.energies import Energy, as_energy
@@ -122,7 +122,7 @@ def build_chain(
         # Everything kept besides the protein is one body, which is fixed.
         molecule[structure.obstacle], group[structure.obstacle] = molecule.max() + 1, group.max() + 1
         molecule, group = (np.unique(of, return_inverse=True)[1] for of in (molecule, group))
-    parts = grouped(molecule)
+    parts = group_members(molecule)
     roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
     # A molecule with fixed atoms cannot translate or rotate as a whole.
     chains = [
@@ -299,7 +299,7 @@ def _tree(
     hinged = parents >= 0
     rotation, placement = np.tile(np.eye(3), (2, len(bodies), 1, 1))
     offset, origin = np.zeros((2, len(bodies), 3))
-    members = grouped(group)
+    members = group_members(group)
     q0 = [np.empty(0) for _ in bodies]
     for b in np.flatnonzero(~hinged).tolist():
         origin[b] = x[members[group[bodies[b].outer]]].mean(axis=0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, cross
-from protochain.core.graph import Neighbours, beyond, components, grouped, neighbours
+from protochain.core.graph import Neighbours, beyond, components, group_members, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.dihedrals import finder
@@ -205,7 +205,7 @@ def turning_hinges(
         if closing := _in_rings(group, hinges):
             hinges = [hinge for k, hinge in enumerate(hinges) if k not in closing]
             continue
-        members = grouped(group)
+        members = group_members(group)
         touching = Counter(group[[hinge.atoms[1:3] for hinge in hinges]].ravel().tolist())
         real = [
             hinge

@@ -54,7 +54,7 @@ def compare(
     from protochain.comparison import compare as run
     from protochain.comparison.comparing import SETTINGS
     from protochain.comparison.folder import check_folder, files_of
-    from protochain.core.storage import claimed
+    from protochain.core.storage import claim_folder
     from protochain.results.figures import check_figure, write_figure
     from protochain.structure import load
 
@@ -66,7 +66,7 @@ def compare(
     check_figure(figure)
     outputs = [*files_of(output, options.named_after(source)[0], chosen), figure]
     options.check_outputs([source, reference], outputs, setup)
-    context.with_resource(claimed(output, "comparison"))
+    context.with_resource(claim_folder(output, "comparison"))
     known = load(reference) if reference else None
     chain, energy, preparation = options.prepare(source, setup)
     typical = sum(typical_evaluations(method, most) for method in chosen)

@@ -13,7 +13,7 @@ from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
-from protochain.core.storage import claimed
+from protochain.core.storage import claim_folder
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -69,7 +69,7 @@ def modes(
     output = output or Path(f"{stem}-modes")
     check_trajectory(output / f"mode-1.{trajectory}")
     options.check_outputs([source, to], files_of(output, modes, suffix, trajectory), setup)
-    context.with_resource(claimed(output, "analysis of modes"))
+    context.with_resource(claim_folder(output, "analysis of modes"))
     other = measurable(to) if to else None
     chain, energy, preparation = options.prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.

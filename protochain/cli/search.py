@@ -12,7 +12,7 @@ from protochain.cli import options
 from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
 from protochain.core.settings import settings_of
-from protochain.core.storage import claimed
+from protochain.core.storage import claim_folder
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 
 Source = Annotated[
@@ -49,7 +49,7 @@ def search(
     if searching.method != "tempering":
         options.refuse(context, "n_replicas pilot", "is of tempering")
     check_folder(output, running.resume, running.force)
-    context.with_resource(claimed(output, "search", running.resume))
+    context.with_resource(claim_folder(output, "search", running.resume))
     setup = replace(setup, threads=1)
     if is_sequence(source):
         for name, its in settings_of(Setup):

@@ -12,7 +12,7 @@ from protochain.cli import options
 from protochain.cli.first import METHOD, foretell_both, minimised_first
 from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import claimed
+from protochain.core.storage import claim_folder
 from protochain.dynamics.simulate_settings import Pull, RunSettings, SimulationSettings
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def simulate(
     output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
     options.check_outputs([source], [] if running.resume else files_of(output, running.trajectory), setup)
-    context.with_resource(claimed(output, "simulation", running.resume))
+    context.with_resource(claim_folder(output, "simulation", running.resume))
     chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:
         freed(chain, simulation)  # What is not there is said before the work.

@@ -131,7 +131,7 @@ def at_least(least: int) -> Check:
     return check
 
 
-def limited(check: Check, allows: Callable[[float], bool], remedy: str, unit: str = "") -> Check:
+def in_range(check: Check, allows: Callable[[float], bool], remedy: str, unit: str = "") -> Check:
     """Check further that a number is in the range of ``allows``, which is False of NaN."""
 
     def narrower(value: Any, name: str) -> Any:

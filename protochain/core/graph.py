@@ -43,7 +43,7 @@ def components(bonds: Integers, n: int) -> Integers:
     return np.asarray(connected_components(_adjacency(bonds, n), directed=False)[1], dtype=np.int64)
 
 
-def grouped(of: Integers) -> list[Integers]:
+def group_members(of: Integers) -> list[Integers]:
     """Members of each group in ascending order. ``of`` (n,) has the group of each member, from 0 on."""
     return np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
 

@@ -10,10 +10,10 @@ _OWN = Path("/proc/self/cgroup")
 def processors() -> int:
     """Return the number of processors that this process may use: the machine's, bound ones, or a share."""
     bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(bound, round(allowed(_CGROUPS, _OWN))))
+    return max(1, min(bound, round(n_allowed(_CGROUPS, _OWN))))
 
 
-def allowed(root: Path, group_of_process: Path) -> float:
+def n_allowed(root: Path, group_of_process: Path) -> float:
     """Return the processors' worth of time that control groups allow, at most 1e6."""
     n_processors = 1e6
     for line in _text(group_of_process).splitlines():

@@ -110,7 +110,7 @@ def temporary_stem() -> str:
 
 
 @contextmanager
-def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
+def claim_folder(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
     """Reserve a folder for one process. Make it, remove it if empty, and remove temporary files to resume."""
     folders = [parent for parent in (folder, *folder.absolute().parents) if not parent.exists()]
     with writing(folder):

@@ -24,7 +24,7 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import documented, settings_from
-from protochain.core.storage import claimed
+from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
@@ -117,7 +117,7 @@ def simulate(
     elif running.resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
     chain, energy = with_energy(chain, energy)
-    with nullcontext() if path is None else claimed(path, "simulation", running.resume):
+    with nullcontext() if path is None else claim_folder(path, "simulation", running.resume):
         # A resumed run has the loops of its own start, not of this q.
         run = _prepare(chain, energy, q, settings, constants_of(path) if resume and path else {})
         folder = None if path is None else Folder(path, trajectory, run.identity, run.constants)

@@ -14,7 +14,7 @@ from protochain.core.checks import (
     check_fields,
     ends,
     flag,
-    limited,
+    in_range,
     number,
     optional,
     quantity,
@@ -193,7 +193,7 @@ def _picoseconds(femtoseconds: float) -> float:
 
 
 def _not_negative(unit: str, shown_as: str) -> Check:
-    return limited(quantity(unit), lambda value: 0.0 <= value < math.inf, "give 0 or more", shown_as)
+    return in_range(quantity(unit), lambda value: 0.0 <= value < math.inf, "give 0 or more", shown_as)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +209,7 @@ class SimulationSettings(Settings):
     time_step: float = setting(
         defaults.TIME_STEP,
         f"Time step, fs [default: {1000.0 * defaults.TIME_STEP:g}].",
-        limited(quantity("picosecond"), lambda step: 0.0 < step < math.inf, "give a number above 0", "ps"),
+        in_range(quantity("picosecond"), lambda step: 0.0 < step < math.inf, "give a number above 0", "ps"),
         float,
         read=_picoseconds,
         doc="Time step, ps.",

@@ -40,7 +40,7 @@ class Body(Named):
     armature: Inertia that a free body has in addition in all of its six freedoms, without weight.
     """
 
-    called: ClassVar[str] = "body"
+    noun: ClassVar[str] = "body"
 
     mass: float
     com: Any = NOWHERE
@@ -85,7 +85,7 @@ class Hinge(Named):
     armature: Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
     """
 
-    called: ClassVar[str] = "hinge"
+    noun: ClassVar[str] = "hinge"
 
     parent: str
     child: str

@@ -46,7 +46,7 @@ class Bushing(Between):
         If the name is already in use, or a constant is negative.
     """
 
-    called: ClassVar[str] = "bushing"
+    noun: ClassVar[str] = "bushing"
 
     stiffness: Any
     damping: Any = 0.0

@@ -42,7 +42,7 @@ class ClosedEquations(Equations):
 
     joints: LoopJoints = field(kw_only=True)
 
-    def placed(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
+    def prescribe(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
         """Coordinates, velocities and factors, with the loops closed.
 
         Raises
@@ -50,7 +50,7 @@ class ClosedEquations(Equations):
         StepTooLargeError
             If no coordinates nearby close them.
         """
-        q, qd, factors = super().placed(time, q, qd)
+        q, qd, factors = super().prescribe(time, q, qd)
         units = np.where(self.joints.turns, 1.0, self.tree.size)
         for _ in range(ITERATIONS):
             loops = factor_loops(factors, self.joints)
@@ -61,7 +61,7 @@ class ClosedEquations(Equations):
             factors = self.factors(q)
         raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
 
-    def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
+    def constrain(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) with the loops closed, and the torques (n_v,) of their joints."""
         loops = factor_loops(factors, self.joints)
         impulses = loops.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))

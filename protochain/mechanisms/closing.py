@@ -67,7 +67,7 @@ class Closing(Between):
         If the name is already in use, or an argument is invalid.
     """
 
-    called: ClassVar[str] = "closing"
+    noun: ClassVar[str] = "closing"
 
     kind: str = "revolute"
     axis: Any = (0.0, 0.0, 1.0)
@@ -111,7 +111,7 @@ class Closing(Between):
         )  # fmt: skip
 
 
-def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
+def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     """Close the loops: coordinates and rates that the mechanism was given stay if they can, others follow."""
     if not closings:
         return bodies

@@ -185,7 +185,7 @@ class Contact(Named):
         Tangential force, none by default.
     """
 
-    called: ClassVar[str] = "contact"
+    noun: ClassVar[str] = "contact"
 
     balls: Sequence[Ball]
     obstacle: Other

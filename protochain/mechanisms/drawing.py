@@ -199,7 +199,7 @@ def _default_shapes(model: Assembly) -> Iterator[Shape]:
     """Default shapes: rods to joints and elements, balls of contacts, else blocks or balls."""
     # A block or ball has the body's moments of inertia.
     tree, bodies = model.tree, model.bodies
-    joined = _joint_points(model)
+    joint_points = _joint_points(model)
     touching = {b: [] for b in range(tree.n_bodies)}  # type: dict[int, list[Ball]]
     for part in model.conservative:
         if isinstance(part, ContactForces):
@@ -209,7 +209,7 @@ def _default_shapes(model: Assembly) -> Iterator[Shape]:
                     touching[b].append(Ball(bodies.names[b], radius, bodies.turn[b] @ at))
     for b, name in enumerate(bodies.names):
         com = bodies.turn[b] @ tree.com[b]
-        ends = [at for at in joined[b] if np.linalg.norm(at) > _NEAR * tree.size]
+        ends = [at for at in joint_points[b] if np.linalg.norm(at) > _NEAR * tree.size]
         yield from (ball for ball in touching[b] if ball.radius > 0.0)
         if touching[b] and not ends:
             continue
@@ -223,7 +223,7 @@ def _default_shapes(model: Assembly) -> Iterator[Shape]:
 
 
 def _joint_points(model: Assembly) -> list[list[Floats]]:
-    """Points of each body, in its own axes, at which other bodies, loops or springs are joined."""
+    """Points of each body, in its own axes, at which other bodies, loops or springs are joint_points."""
     tree, bodies = model.tree, model.bodies
     joints: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
 

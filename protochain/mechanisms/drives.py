@@ -19,7 +19,7 @@ from protochain.mechanisms.elements import Named
 class Driven(Named):
     """Prescribed motion of a hinge, by its name: time -> coordinate, rate, acceleration."""
 
-    called: ClassVar[str] = "drive of hinge"
+    noun: ClassVar[str] = "drive of hinge"
 
     motion: Callable[[float], tuple[float, float, float]]
 

@@ -110,7 +110,7 @@ class Named:
         Name.
     """
 
-    called: ClassVar[str] = "element"
+    noun: ClassVar[str] = "element"
     """What messages call it."""
 
     name: str
@@ -118,7 +118,7 @@ class Named:
     @property
     def label(self) -> str:
         """What messages call it, with its name."""
-        return f'{self.called} "{self.name}"'
+        return f'{self.noun} "{self.name}"'
 
     def fix(self, **values: Any) -> None:
         """Set fields to their checked values."""
@@ -166,7 +166,7 @@ class CustomForce(Named):
         If the name is already in use, or the element has no ``bind``.
     """
 
-    called: ClassVar[str] = "force"
+    noun: ClassVar[str] = "force"
 
     element: Element | Load
 
@@ -186,7 +186,7 @@ class Rows:
     """Elements of one kind as rows of arrays, computed by one call of a kernel."""
 
     @classmethod
-    def joined(cls, parts: Iterable[Self]) -> Self:
+    def concatenate(cls, parts: Iterable[Self]) -> Self:
         """All rows of several."""
         columns = zip(
             *([getattr(part, column_field.name) for column_field in fields(cls)] for part in parts),
@@ -195,13 +195,13 @@ class Rows:
         return cls(*(read_only(np.concatenate(column), column[0].dtype) for column in columns))
 
 
-def joined(parts: Iterable[Any]) -> list[Any]:
+def join_rows(parts: Iterable[Any]) -> list[Any]:
     """Return parts in order. Rows of one class become one part, at the place of the first."""
     kinds: dict[Any, list[Any]] = {}
     for part in parts:
         kinds.setdefault(type(part) if isinstance(part, Rows) else id(part), []).append(part)
     return [
-        parts_of_kind[0] if len(parts_of_kind) == 1 else parts_of_kind[0].joined(parts_of_kind)
+        parts_of_kind[0] if len(parts_of_kind) == 1 else parts_of_kind[0].concatenate(parts_of_kind)
         for parts_of_kind in kinds.values()
     ]
 
@@ -249,14 +249,14 @@ class Dampers(Load):
 def damping(tree: Tree, parts: Sequence[Damping]) -> Dampers:
     """Return all dampers as one load."""
 
-    def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+    def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         twists = multibody.velocities(tree, frames, qd)
         wrenches, torques = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)
         for part in parts:
             part.resist(frames, twists, qd, wrenches, torques)
         return Applied(wrenches, torques)
 
-    return Dampers(applied, parts=tuple(parts))
+    return Dampers(apply, parts=tuple(parts))
 
 
 @kernel

@@ -53,7 +53,7 @@ class Event(Named):
         If the name is already in use, or a callable is not a function.
     """
 
-    called: ClassVar[str] = "event"
+    noun: ClassVar[str] = "event"
 
     value: Callable[..., float]
     jump: Callable[..., Any]
@@ -64,7 +64,7 @@ class Event(Named):
             if not callable(getattr(self, name_of_callable)):
                 raise MechanicsError(f"{self.label}: its {name_of_callable} must be a function of the state")
 
-    def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
+    def watch(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
         """Return it for ``march``, which adds it to the list when it happens."""
 
         def value(at: Phase) -> float:

@@ -59,8 +59,8 @@ class Acts:
 
 def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Springs and torsions of all parts as arrays."""
-    springs = Springs.joined([_NO_SPRINGS, *(part for part in parts if isinstance(part, Springs))])
-    torsions = Torsions.joined([_NO_TORSIONS, *(part for part in parts if isinstance(part, Torsions))])
+    springs = Springs.concatenate([_NO_SPRINGS, *(part for part in parts if isinstance(part, Springs))])
+    torsions = Torsions.concatenate([_NO_TORSIONS, *(part for part in parts if isinstance(part, Torsions))])
     return (
         springs.ends, springs.points, springs.constants, torsions.coordinates, torsions.freedoms,
         torsions.constants,

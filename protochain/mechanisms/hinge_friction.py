@@ -14,7 +14,7 @@ from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.elements import Acting, Named
-from protochain.mechanisms.reactions import transmitted
+from protochain.mechanisms.reactions import transmitted_forces
 
 _ITERATIONS = 100
 _SAME = 1e-12
@@ -48,7 +48,7 @@ class HingeFriction(Named):
         If the name is already in use, it does nothing, or a constant is negative.
     """
 
-    called: ClassVar[str] = "friction"
+    noun: ClassVar[str] = "friction"
 
     hinge: str
     torque: float = 0.0
@@ -105,7 +105,7 @@ def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
 
     def forces(at: Phase) -> Floats:
         """(k, 3) float: across the axes."""
-        across = transmitted(model, at).hinges[[hinge.body for hinge in pressed], 3:]
+        across = transmitted_forces(model, at).hinges[[hinge.body for hinge in pressed], 3:]
         axes = at.factors.frames.rotation[[hinge.body for hinge in pressed], :, 2]
         return np.asarray(across - np.sum(across * axes, axis=1)[:, None] * axes)
 

@@ -52,7 +52,7 @@ class Spring(Between):
         If the name is already in use, or a constant is negative.
     """
 
-    called: ClassVar[str] = "spring"
+    noun: ClassVar[str] = "spring"
 
     stiffness: float = 0.0
     rest: float | None = None

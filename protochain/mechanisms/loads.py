@@ -36,7 +36,7 @@ class AppliedForce(Named):
         If the name is already in use, or nothing acts.
     """
 
-    called: ClassVar[str] = "load"
+    noun: ClassVar[str] = "load"
 
     body: str
     at: ArrayLike = (0.0, 0.0, 0.0)
@@ -97,7 +97,7 @@ class HingeTorque(Named):
         If the name is already in use.
     """
 
-    called: ClassVar[str] = "torque"
+    noun: ClassVar[str] = "torque"
 
     hinge: str
     value: Any

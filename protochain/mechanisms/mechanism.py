@@ -14,7 +14,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.bushing import Bushing
-from protochain.mechanisms.closing import Closing, closed
+from protochain.mechanisms.closing import Closing, close_loops
 from protochain.mechanisms.contact import Contact
 from protochain.mechanisms.drives import Driven
 from protochain.mechanisms.element_arguments import numbers
@@ -42,9 +42,9 @@ def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism
         for name in kwargs.keys() - arguments.parameters.keys():
             near = get_close_matches(name, arguments.parameters, 1)
             part_name = kwargs.get("name", args[0] if args else "")
-            called = getattr(make, "called", "element")
+            noun = getattr(make, "noun", "element")
             remedy = near[0] if near else ", ".join(arguments.parameters)
-            raise MechanicsError(f'{called} "{part_name}": there is no argument {name}; give {remedy}')
+            raise MechanicsError(f'{noun} "{part_name}": there is no argument {name}; give {remedy}')
         self.add(make(*args, **kwargs))
 
     arguments = inspect.signature(make)
@@ -241,11 +241,11 @@ class Mechanism:
             (Named, self._elements, ("drives", "damping", "hinge friction")),
         )
         group, reserved = next((group, words) for kind, group, words in groups if isinstance(part, kind))
-        name, called = part.name, part.called
+        name, noun = part.name, part.noun
         if not isinstance(name, str) or not name:
-            raise MechanicsError(f"the name {shown(name)} of a {called}: give a text")
+            raise MechanicsError(f"the name {shown(name)} of a {noun}: give a text")
         if name in reserved:
-            raise MechanicsError(f'"{name}" is no name for a {called}: it has a meaning; give another')
+            raise MechanicsError(f'"{name}" is no name for a {noun}: it has a meaning; give another')
         if name in group:
             raise MechanicsError(f"{part.label} is named twice; give each a name of its own")
         group[name] = part
@@ -301,7 +301,7 @@ class Mechanism:
             unit = np.pi / 180.0 if self._degrees and hinge.kind != "prismatic" else 1.0
             starts[name] = unit * q, unit * qd
         tree = assemble(self._bodies, self._hinges, starts, self._gravity, self._degrees)
-        bodies = closed(tree, [*self._closings.values()])
+        bodies = close_loops(tree, [*self._closings.values()])
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)
         elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]

@@ -16,7 +16,7 @@ from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
-from protochain.mechanisms.elements import Acting, Gravity, damping, joined
+from protochain.mechanisms.elements import Acting, Gravity, damping, join_rows
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import InOneKernel
 from protochain.mechanisms.hinge_friction import friction
@@ -149,7 +149,7 @@ def model_of(
             raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = part
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
-    damped = joined(act.damping for act in acting.values() if act.damping)
+    damped = join_rows(act.damping for act in acting.values() if act.damping)
     loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
     loads += [
         NamedLoad(name, act.load, act.dissipates, act.hinges) for name, act in acting.items() if act.load
@@ -158,7 +158,7 @@ def model_of(
     on_world = bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
     model = Model(
         bodies, bodies.q, bodies.qd,
-        (*weight, *joined(act.conservative for act in acting.values() if act.conservative)), tuple(loads),
+        (*weight, *join_rows(act.conservative for act in acting.values() if act.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
         not weight and not is_fixed and not on_world and all(act.inside for act in acting.values()),
         tuple(act.memory for act in acting.values() if act.memory),
@@ -268,14 +268,14 @@ class _Simulation:
         # Perhaps there was more before: this row may be a turning point.
         run = Run(self.model, self.rows, (), self.start)
         largest = run.in_motion
-        allowed = self.balance * largest + ROUNDED * run.held + self.tolerated(time)
+        allowed = self.balance * largest + ROUNDED * run.stored_energy + self.tolerance_at(time)
         if not (abs(lack) <= allowed and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
                 f"without work: the time step {self.time_step:g} is too long; {self.remedy}"
             )
 
-    def tolerated(self, time: float) -> float:
+    def tolerance_at(self, time: float) -> float:
         """Energy that forces may lose by a time, in displacements that the integrator's tolerance allows."""
         # Of what creeps or rests more than moves: as a block that friction holds on a slope.
         steps = (time - self.start.time) / self.time_step
@@ -314,7 +314,7 @@ class _Simulation:
     def with_events(self, until: float) -> Phase:
         """Take steps until events, whose phases have rows, too."""
         model, at, count = self.model, self.start, 0
-        watched = [event.watched(model.state, self.happened) for event in model.events]
+        watched = [event.watch(model.state, self.happened) for event in model.events]
         for memory in model.memories:
             memory.settle(at)
         for at, event in march(model.system, self.integrator, self.start, until, self.time_step, watched):

@@ -45,7 +45,7 @@ class Motor(Named):
         If the name is already in use, no hinge is followed, or a constant is negative.
     """
 
-    called: ClassVar[str] = "motor"
+    noun: ClassVar[str] = "motor"
 
     follow: Mapping[str, Any]
     stiffness: float = 0.0

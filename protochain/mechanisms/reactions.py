@@ -27,7 +27,7 @@ class Transmitted(NamedTuple):
     joints: Floats  # (m,): Forces and moments of the equations of the joints that close loops.
 
 
-def transmitted(model: Assembly, at: Phase) -> Transmitted:
+def transmitted_forces(model: Assembly, at: Phase) -> Transmitted:
     """Find what hinges transmit, by Newton and Euler from the outermost bodies inward."""
     # What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
     # parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
@@ -84,10 +84,10 @@ def reactions(run: Motion, name: str) -> "pd.DataFrame":
     rows = [k for k, joint in enumerate(bodies.joint_names) if joint == name]
     if not rows:
         b = bodies.hinge(name, "reactions")
-        wrenches = [transmitted(model, at).hinges[b] for at in phases(run)]
+        wrenches = [transmitted_forces(model, at).hinges[b] for at in phases(run)]
     else:
         assert bodies.joints is not None
-        wrenches = [_of_joint(transmitted(model, at), model, rows) for at in phases(run)]
+        wrenches = [_of_joint(transmitted_forces(model, at), model, rows) for at in phases(run)]
     wrench = np.array(wrenches)
     columns = {f"force {axis}": wrench[:, 3 + k] for k, axis in enumerate(_AXES)}
     columns |= {f"moment {axis}": wrench[:, k] for k, axis in enumerate(_AXES)}

@@ -183,7 +183,7 @@ class Run(Motion):
             Largest errors, relative.
         """
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
-        scale = self.in_motion if self.in_motion > ROUNDED * self.held else self.held
+        scale = self.in_motion if self.in_motion > ROUNDED * self.stored_energy else self.stored_energy
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
         loops = self._loop_errors() if self.model.bodies.joints is not None else (None, None)
         strikes = {watched.name for watched in self.model.events if not watched.passes}
@@ -217,6 +217,6 @@ class Run(Motion):
         return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
 
     @property
-    def held(self) -> float:
+    def stored_energy(self) -> float:
         """Stored energy, of which rounding may move a part: its potential, weights by its size."""
         return float(abs(self.potential[-1]) + np.max(self.end.effort * self.model.tree.units, initial=0.0))

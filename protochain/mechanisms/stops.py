@@ -35,7 +35,7 @@ class Stop(Named):
         If the name is already in use, there are no limits, or a constant is negative.
     """
 
-    called: ClassVar[str] = "stop"
+    noun: ClassVar[str] = "stop"
 
     hinge: str
     low: float = -np.inf

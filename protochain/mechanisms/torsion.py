@@ -35,7 +35,7 @@ class Torsion(Named):
         If the name is already in use, or a constant is negative.
     """
 
-    called: ClassVar[str] = "torsion"
+    noun: ClassVar[str] = "torsion"
 
     hinge: str
     stiffness: float = 0.0

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import anything, at_least, flag, limited, number, one_of, optional, path
+from protochain.core.checks import anything, at_least, flag, in_range, number, one_of, optional, path
 from protochain.core.errors import Angle, Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
 JUDGES = (defaults.JUDGE, "reference")
 """Who judges: our kernels where they know the energy, or OpenMM's Reference platform in any case."""
 
-TOLERANCE = optional(limited(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
+TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
 
 

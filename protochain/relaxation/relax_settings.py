@@ -9,7 +9,7 @@ from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_lines import read_restraints
 from protochain.chains.setup import Setup
 from protochain.core import defaults
-from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text
+from protochain.core.checks import at_least, flag, in_range, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, documented, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
@@ -50,7 +50,7 @@ class RelaxSettings(Settings):
     stiffness: float | None = setting(
         None,
         "Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2].",
-        optional(limited(number, lambda k: 0 <= k < math.inf, "give kJ/mol/nm^2, none below 0")),
+        optional(in_range(number, lambda k: 0 <= k < math.inf, "give kJ/mol/nm^2, none below 0")),
         float,
         doc="Springs of the backbone, E = k/2 d^2, kJ/mol/nm^2; those of side chains keep their proportion. "
         "By default the preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.",

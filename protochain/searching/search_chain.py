@@ -18,7 +18,7 @@ from protochain.core.checks import at_least, checked, function, optional, path, 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import documented, settings_from
-from protochain.core.storage import check_writable, claimed
+from protochain.core.storage import check_writable, claim_folder
 from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
@@ -138,7 +138,7 @@ def search(
         check_folder(folder, resume, force)
     landscape = Landscape.of(*with_energy(chain, energy), settings.restraint)
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
-    with nullcontext() if folder is None else claimed(folder, "search", resume=True):
+    with nullcontext() if folder is None else claim_folder(folder, "search", resume=True):
         walks = _Walks(landscape, settings, folder, running)
         began = perf_counter()
         interrupted = _work(walks, running, processes, watch)

@@ -7,7 +7,7 @@ from typing import Any
 from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_lines import read_restraints
 from protochain.core import defaults
-from protochain.core.checks import Check, at_least, flag, limited, number, one_of, optional, plain, shown
+from protochain.core.checks import Check, at_least, flag, in_range, number, one_of, optional, plain, shown
 from protochain.core.errors import refused
 from protochain.core.settings import Settings, setting
 
@@ -19,7 +19,7 @@ _MOST = 10_000
 
 
 def _up_to_most(least: int) -> Check:
-    return limited(at_least(least), lambda n: n <= _MOST, f"give at most {_MOST}")
+    return in_range(at_least(least), lambda n: n <= _MOST, f"give at most {_MOST}")
 
 
 def interval(value: Any, name: str) -> tuple[float, float]:
@@ -104,7 +104,7 @@ class SearchRunSettings(Settings):
     hours: float | None = setting(
         None,
         "Hours of this run.",
-        optional(limited(number, lambda hours: 0.0 < hours < math.inf, "give a number above 0")),
+        optional(in_range(number, lambda hours: 0.0 < hours < math.inf, "give a number above 0")),
         float,
         doc="Time after which the search ends, but not before one walk has begun.",
     )

@@ -23,7 +23,7 @@ from protochain.batches.table import _whole_lines as whole_lines
 from protochain.core import interrupts, storage
 from protochain.core.errors import MechanicsError, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, interrupt_on_signals
-from protochain.core.storage import check_writable, claimed, claimed_files, temporary_stem, write_text
+from protochain.core.storage import check_writable, claim_folder, claimed_files, temporary_stem, write_text
 from protochain.mechanisms import Mechanism
 from protochain.results.run_folder import csv_text
 
@@ -99,7 +99,7 @@ def test_a_folder_of_a_running_simulation_is_refused(tmp_path):
     ],
 )  # fmt: skip
 def test_commands_refuse_outputs_of_other_runs(command, output, protochain, another_process):
-    with claimed(Path(output), "run") if output == "run" else claimed_files(Path(output)):
+    with claim_folder(Path(output), "run") if output == "run" else claimed_files(Path(output)):
         another_process()
         done = protochain(*command.replace("{}", str(SAMPLE)).split())
     assert done.returncode == 2 and f"{output}: another " in done.stderr and "is writing" in done.stderr
@@ -119,13 +119,15 @@ def test_a_table_that_another_run_writes_is_refused(protochain, another_process)
 
 def test_a_lock_ends_with_its_process_and_is_shared_inside_it(tmp_path):
     """Another process gets the folder as soon as this one has left it, and not before."""
-    program = f"from protochain.core.storage import *\nwith claimed(Path({str(tmp_path)!r}), 'run'): pass"
+    program = (
+        f"from protochain.core.storage import *\nwith claim_folder(Path({str(tmp_path)!r}), 'run'): pass"
+    )
 
     def other():
         return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
 
-    with claimed(tmp_path, "run"):
-        with claimed(tmp_path, "run"):
+    with claim_folder(tmp_path, "run"):
+        with claim_folder(tmp_path, "run"):
             pass
         assert "another run is writing" in other().stderr
     assert other().returncode == 0 and not list(tmp_path.iterdir())
@@ -137,7 +139,10 @@ def test_where_there_are_no_locks_runs_go_on_and_report_it(number, tmp_path, mon
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
-    with pytest.warns(WriteWarning, match="this file system has no locks"), claimed(tmp_path / "a", "run"):
+    with (
+        pytest.warns(WriteWarning, match="this file system has no locks"),
+        claim_folder(tmp_path / "a", "run"),
+    ):
         (tmp_path / "a" / "result").write_text("")
     with pytest.warns(WriteWarning, match="no locks"), claimed_files(tmp_path / "t.csv"):
         pass

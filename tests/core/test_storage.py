@@ -23,7 +23,7 @@ from protochain.comparison.folder import clear
 from protochain.core import storage
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import WriteError
-from protochain.core.storage import claimed, json_text, temporary_stem, write_atomically
+from protochain.core.storage import claim_folder, json_text, temporary_stem, write_atomically
 from protochain.structure.formats.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -267,7 +267,7 @@ def test_a_trajectory_stays_only_beside_a_result(evaluations, tmp_path, monkeypa
 def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     work = ("compare", SAMPLE, "-o", "out", "--methods", "lbfgs", "--max-evaluations", 5)
-    with claimed(tmp_path / "out", "comparison"), monkeypatch.context() as another:
+    with claim_folder(tmp_path / "out", "comparison"), monkeypatch.context() as another:
         another.setattr(storage, "_LOCKS", set())  # As in another process.
         assert run(monkeypatch, *work) == 2
     assert "another comparison is writing to this folder" in capsys.readouterr().err
@@ -284,9 +284,9 @@ def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_pat
     (tmp_path / "pages").mkdir()
     for name in (*left, *own):
         (tmp_path / name).write_text("x")
-    with claimed(tmp_path, "batch"):
+    with claim_folder(tmp_path, "batch"):
         assert all((tmp_path / name).exists() for name in (*left, *own))
-    with claimed(tmp_path, "batch", resume=True):
+    with claim_folder(tmp_path, "batch", resume=True):
         assert [name for name in (*left, *own) if (tmp_path / name).exists()] == own
 
 

@@ -160,7 +160,7 @@ def test_processors_that_control_groups_allow(case, tmp_path):
     for name, text in files.items():
         (tmp_path / "groups" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "groups" / name).write_text(text)
-    assert door.allowed(tmp_path / "groups", tmp_path / "own") == expected
+    assert door.n_allowed(tmp_path / "groups", tmp_path / "own") == expected
 
 
 @pytest.mark.parametrize(

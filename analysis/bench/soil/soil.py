@@ -55,7 +55,7 @@ class Soil(Named):
     least: Steps of the cubes to one of the mechanism, at least; as many more as they need.
     """
 
-    called: ClassVar[str] = "soil"
+    noun: ClassVar[str] = "soil"
 
     bodies: Sequence[str]
     pile: Pile

@@ -70,7 +70,7 @@ class Leapfrog(Integrator):
             raise MechanicsError(
                 "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
             )
-        kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
+        kicked = system.kick(at, *self._drift_by_factors(system, at, time_step), time_step)
         if system.constraint is None:
             return kicked
         workspace = system.with_velocities(kicked, kicked.qd)
@@ -81,9 +81,9 @@ class Leapfrog(Integrator):
     def check_return(self, system: Equations, before: Phase, after: Phase, time_step: float) -> None:
         """Check without an energy that a step backwards ends at the start of the step, by its drift."""
         system = canonical(system, "leapfrog")
-        refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
+        refuse_departure(system, self._drift_by_factors(system, after, -time_step)[0], before.q)
 
-    def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
+    def _drift_by_factors(self, system: System, at: Phase, time_step: float) -> Drifted:
         """Kick for half a step and drift for a step."""
         kicked = at.p + 0.5 * time_step * at.torque
         if system.constraint is None:

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import limited, number
+from protochain.core.checks import in_range, number
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
 
-TOLERANCE = limited(number, lambda value: 0.0 < value < np.inf, "give a number above 0, as 1e-8")
+TOLERANCE = in_range(number, lambda value: 0.0 < value < np.inf, "give a number above 0, as 1e-8")
 """Check of a tolerance."""
 Tried = tuple[Phase, Floats, Floats]
 """Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""

@@ -248,7 +248,7 @@ class Equations:
 
     def at(self, q: Floats, qd: Floats, time: float = 0.0, work: Floats | None = None) -> Phase:
         """Return the phase at q (n_q,) with velocities qd (n_v,), driven hinges as the drive prescribes."""
-        q, qd, factors = self.placed(time, q, qd)
+        q, qd, factors = self.prescribe(time, q, qd)
         potential, torque, loads = self.forces(time, q, qd, factors)
         p = self.momenta(factors, qd)
         if self.drive is not None:
@@ -257,7 +257,7 @@ class Equations:
             work = NOTHING if loads is None else np.zeros(len(loads))
         return Phase(q, qd, p, potential, torque, factors, time, work, loads)
 
-    def placed(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
+    def prescribe(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
         """Coordinates (n_q,) and velocities (n_v,) as drive and joints prescribe them, and their factors."""
         q, qd = self.driven_to(time, q, qd)
         return q, qd, self.factors(q)
@@ -285,10 +285,10 @@ class Equations:
     ) -> tuple[Floats, Floats | None]:
         """Accelerations (n_v,) under torques (n_v,), and the loads. The last is the torques of the drive."""
         if self.drive is None:
-            return self.held(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
+            return self.constrain(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
         driven, prescribed, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
         prescribed[driven] = self._drive(time)[2]
-        qdd, holding = self.held(qd, self.forward_dynamics(q, qd, prescribed), factors)
+        qdd, holding = self.constrain(qd, self.forward_dynamics(q, qd, prescribed), factors)
         driving[driven] = (self.inverse_dynamics(q, qd, qdd) - torque - holding)[driven]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
 
@@ -313,7 +313,7 @@ class Equations:
         work = at.work + b @ powers if powers else at.work
         return self.at(q, qd, at.time + h, work), error_weights @ slopes, error_weights @ accelerations
 
-    def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
+    def constrain(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) that the joints of loops allow, and their torques. Here they allow all."""
         return qdd, NO_TORQUE
 

@@ -8,7 +8,7 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import articulated, fixman
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.kinematics import Frames
-from protochain.mechanics.multibody.mass import Method, checked
+from protochain.mechanics.multibody.mass import Method, check_method
 from protochain.mechanics.multibody.operational import Rows, operational_inverse, row_loads, row_matrix
 from protochain.mechanics.multibody.tree import Tree
 
@@ -52,7 +52,7 @@ def solve_closed(
     (Fixman 1974, Lee, Wang, Chirikjian 2007). O(m n + m^3).
     """
     g = row_matrix(tree, frames, rows)
-    if checked(method) == "fixman":
+    if check_method(method) == "fixman":
         eliminated = fixman.eliminate(tree, frames)
         free = fixman.solve(eliminated, tau)
         twists = [fixman.respond(eliminated, load) for load in row_loads(tree, rows)]
@@ -88,7 +88,7 @@ def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "art
     MechanicsError
         As :func:`solve_closed`.
     """
-    if checked(method) == "fixman":
+    if check_method(method) == "fixman":
         eliminated = fixman.eliminate(tree, frames)
         loads = row_loads(tree, rows)
         felt = np.array([fixman.respond(eliminated, load) for load in loads])

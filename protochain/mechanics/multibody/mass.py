@@ -38,7 +38,7 @@ def solve_mass(tree: Tree, frames: Frames, tau: Floats, method: Method = "articu
         method is unknown.
     """
     tau = finite(tau, (tree.n_v,), "tau")
-    if checked(method) == "fixman":
+    if check_method(method) == "fixman":
         return fixman.solve(fixman.eliminate(tree, frames), tau)
     return articulated.solve_at_once(tree, frames, tau)
 
@@ -63,7 +63,7 @@ def log_det_mass(tree: Tree, frames: Frames, method: Method = "articulated") -> 
     MechanicsError
         As :func:`solve_mass`.
     """
-    if checked(method) == "fixman":
+    if check_method(method) == "fixman":
         return fixman.log_det(fixman.eliminate(tree, frames))
     return articulated.log_det(articulated.articulate(tree, frames))
 
@@ -94,7 +94,7 @@ def sample_velocities(tree: Tree, frames: Frames, thermal_energy: float, rng: np
     return articulated.sample(articulated.articulate(tree, frames), noise)
 
 
-def checked(method: str) -> str:
+def check_method(method: str) -> str:
     """Return the method if it is known."""
     if method not in ("articulated", "fixman"):
         raise MechanicsError(f"method {method!r} is not known; choose articulated or fixman")

@@ -12,7 +12,7 @@ _LEFT = 1e-12
 
 
 @kernel
-def unresisted(
+def find_unresisted(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, pivot: Floats,
     root: Floats,
 ) -> int:  # fmt: skip

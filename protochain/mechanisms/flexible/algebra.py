@@ -37,13 +37,13 @@ def put_six(first: Vector, second: Vector, columns: Floats, i: int, s: int) -> N
 
 
 @kernel
-def between(origin: Floats, i: int, j: int) -> Vector:
+def arm_between(origin: Floats, i: int, j: int) -> Vector:
     """Vector from node i to node j."""
     return origin[j, 0] - origin[i, 0], origin[j, 1] - origin[i, 1], origin[j, 2] - origin[i, 2]
 
 
 @kernel
-def shortened(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first: int) -> Vector:
+def shortening_of(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first: int) -> Vector:
     """Sum of the shortening of shape s with each of n amounts."""
     x, y, z = 0.0, 0.0, 0.0
     for t in range(n):
@@ -62,12 +62,12 @@ def along(columns: Floats, i: int, s: int, wrench: Floats) -> float:
 
 
 @kernel
-def gathered(links: Integers, origin: Floats, wrench: Floats, b: int) -> tuple[Vector, Vector]:
+def sum_wrenches(links: Integers, origin: Floats, wrench: Floats, b: int) -> tuple[Vector, Vector]:
     """Wrenches of all nodes of body b, as one about its origin."""
     frame, moment_sum, total = links[b, NODE], ZERO, ZERO
     for i in range(frame, links[b + 1, NODE]):
         moment, force = algebra.pair(wrench, i)
-        moment_sum = add(moment_sum, add(moment, cross(between(origin, frame, i), force)))
+        moment_sum = add(moment_sum, add(moment, cross(arm_between(origin, frame, i), force)))
         total = add(total, force)
     return moment_sum, total
 
@@ -82,7 +82,7 @@ def base_twist(
     omega, u = ZERO, ZERO
     if c >= 0:
         omega, u = algebra.pair(motion, c)
-        u = add(u, cross(omega, between(origin, c, frame)))
+        u = add(u, cross(omega, arm_between(origin, c, frame)))
     if n_v == 1:
         axis = scale(rates[k], algebra.hinge_axis(rotation, frame))
         omega, u = add(omega, scale(seats[b, TURN], axis)), add(u, scale(seats[b, SLIDE], axis))
@@ -92,7 +92,7 @@ def base_twist(
 
 
 @kernel
-def resisted(rotation: Floats, inertia: Floats, i: int, x: Vector) -> Vector:
+def inertia_times(rotation: Floats, inertia: Floats, i: int, x: Vector) -> Vector:
     """Product of a section's inertia, given along its own axes, with a vector along the world's."""
     turn = algebra.matrix(rotation, i)
     return algebra.turned(turn, algebra.turned(algebra.matrix(inertia, i), algebra.turned_back(turn, x)))

@@ -12,7 +12,7 @@ from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat,
 from protochain.mechanics.multibody.rotations import tangent, turn_by
 from protochain.mechanics.multibody.tree import ARMATURE, SLIDE, TURN, Q, V
 from protochain.mechanisms.flexible import algebra as nodes
-from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, between, six, triple
+from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, arm_between, six, triple
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of its diagonal is rounding error."""
@@ -40,10 +40,10 @@ def put_frames(
             for s in range(n_shapes):
                 eta = q[first + s]
                 theta = add(theta, scale(eta, triple(turns, i, s)))
-                short = nodes.shortened(shortening, i, s, n_shapes, q, first)
+                short = nodes.shortening_of(shortening, i, s, n_shapes, q, first)
                 x = add(x, scale(eta, subtract(triple(moves, i, s), scale(0.5, short))))
             for s in range(n_shapes):
-                short = nodes.shortened(shortening, i, s, n_shapes, q, first)
+                short = nodes.shortening_of(shortening, i, s, n_shapes, q, first)
                 nodes.put_six(
                     algebra.turned(turn, tangent(theta, triple(turns, i, s))),
                     algebra.turned(turn, subtract(triple(moves, i, s), short)), columns, i, s,
@@ -65,7 +65,7 @@ def put_twists(
         frame, j = links[b, NODE], links[b, SHAPE]
         omega, u = nodes.base_twist(links, seats, rotation, origin, b, twists, qd)
         for i in range(frame, links[b + 1, NODE]):
-            spin, moving = omega, add(u, cross(omega, between(origin, frame, i)))
+            spin, moving = omega, add(u, cross(omega, arm_between(origin, frame, i)))
             for s in range(links[b + 1, SHAPE] - j):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(qd[j + s], angular)), add(moving, scale(qd[j + s], linear))
@@ -92,7 +92,7 @@ def put_changes(
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
                 bent = nodes.tangent_rate(theta, rate, triple(turns, i, s))
-                short = nodes.shortened(shortening, i, s, n_shapes, qd, j)
+                short = nodes.shortening_of(shortening, i, s, n_shapes, qd, j)
                 nodes.put_six(
                     add(cross(omega, angular), algebra.turned(turn, bent)),
                     subtract(cross(omega, linear), algebra.turned(turn, short)), changes, i, s,
@@ -112,7 +112,7 @@ def put_loads(
         alpha, a = nodes.base_twist(links, seats, rotation, origin, b, motion, qdd)
         if c >= 0:
             above, _ = algebra.pair(twists, c)
-            a = add(a, cross(above, cross(above, between(origin, c, frame))))
+            a = add(a, cross(above, cross(above, arm_between(origin, c, frame))))
             if links[b + 1, V] - links[b, V] == 1:
                 # The axis turns with what carries it.
                 axis = scale(qd[links[b, V]], algebra.hinge_axis(rotation, frame))
@@ -120,7 +120,7 @@ def put_loads(
                 a = add(a, scale(2.0 * seats[b, SLIDE], cross(above, axis)))
         omega, _ = algebra.pair(twists, frame)
         for i in range(frame, links[b + 1, NODE]):
-            arm = between(origin, frame, i)
+            arm = arm_between(origin, frame, i)
             quick, pulled = alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
@@ -132,8 +132,8 @@ def put_loads(
             algebra.put_pair(quick, pulled, motion, i)
             spin, _ = algebra.pair(twists, i)
             moment = add(
-                nodes.resisted(rotation, inertia, i, quick),
-                cross(spin, nodes.resisted(rotation, inertia, i, spin)),
+                nodes.inertia_times(rotation, inertia, i, quick),
+                cross(spin, nodes.inertia_times(rotation, inertia, i, spin)),
             )
             algebra.put_pair(moment, scale(mass[i], pulled), loads, i)
 
@@ -150,13 +150,13 @@ def put_torques(
             tau[j + s] = 0.0
             for i in range(frame, links[b + 1, NODE]):
                 tau[j + s] += nodes.along(columns, i, s, felt)
-        moment, force = nodes.gathered(links, origin, felt, b)
+        moment, force = nodes.sum_wrenches(links, origin, felt, b)
         n_v, axis = links[b + 1, V] - k, algebra.hinge_axis(rotation, frame)
         for m in range(n_v):
             turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], n_v, m)
             tau[k + m] = dot(turn, moment) + dot(slide, force)
         if c >= 0:
-            algebra.add_pair(add(moment, cross(between(origin, c, frame), force)), force, felt, c)
+            algebra.add_pair(add(moment, cross(arm_between(origin, c, frame), force)), force, felt, c)
 
 
 @kernel
@@ -174,7 +174,7 @@ def put_gradient(
                 _, moving = algebra.pair(twists, i)
                 _, force = algebra.pair(felt, i)
                 gradient[j + s] += nodes.along(changes, i, s, felt) - dot(angular, cross(moving, force))
-        moment, force = nodes.gathered(links, origin, felt, b)
+        moment, force = nodes.sum_wrenches(links, origin, felt, b)
         n_v, above, axis = links[b + 1, V] - k, ZERO, algebra.hinge_axis(rotation, frame)
         if c >= 0 and n_v == 1:
             above, _ = algebra.pair(twists, c)
@@ -205,7 +205,7 @@ def solve_bent(
         system_matrix[:] = 0.0
         for i in range(frame, links[b + 1, NODE]):
             if weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0:
-                nodes.spread(columns, between(origin, frame, i), i, n_shapes, f)
+                nodes.spread(columns, arm_between(origin, frame, i), i, n_shapes, f)
                 _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, system_matrix)
         for s in range(n_shapes):
             system_matrix[s, size] += x[j + s]
@@ -234,7 +234,7 @@ def solve_bent(
                 return b
         if c >= 0:
             weighs[c] = True
-            nodes.spread(columns, between(origin, c, frame), 0, 0, f)
+            nodes.spread(columns, arm_between(origin, c, frame), 0, 0, f)
             _carry(c, p, f, g, carried, load)
     _outward(links, seats, rotation, origin, columns, rows, gains, roots, x)
     return -1
@@ -248,7 +248,8 @@ def _add_node(
     """Add F^T I F of a node, with its carried bodies, to its body's matrix. The load is the last column."""
     for r in range(size):
         moment = add(
-            nodes.resisted(rotation, inertia, i, algebra.vector(f, r, 0)), nodes.times(carried, i, f, r, 0)
+            nodes.inertia_times(rotation, inertia, i, algebra.vector(f, r, 0)),
+            nodes.times(carried, i, f, r, 0),
         )
         force = add(scale(mass, algebra.vector(f, r, 3)), nodes.times(carried, i, f, r, 3))
         algebra.put_pair(moment, force, g, r)
@@ -316,7 +317,7 @@ def _outward(
             y[s] /= rows[b, s, s]
             x[j + s] = y[s]
         for i in range(frame, links[b + 1, NODE]):
-            spin, moving = omega, add(u, cross(omega, between(origin, frame, i)))
+            spin, moving = omega, add(u, cross(omega, arm_between(origin, frame, i)))
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(y[s], angular)), add(moving, scale(y[s], linear))

@@ -24,12 +24,12 @@ def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, floa
 def external_wrench(bodies: Bodies, external: External) -> Floats:
     """(nb, 6) float: given impulses as wrenches about the bodies' origins, checked as by :func:`strike`."""
     wrench = np.zeros((len(bodies.origin), 6))
-    for body, (point, impulse) in checked(external, len(wrench)).items():
+    for body, (point, impulse) in check_external(external, len(wrench)).items():
         wrench[body] = *np.cross(point - bodies.origin[body], impulse), *impulse
     return wrench
 
 
-def checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
+def check_external(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
     """Body -> world point and impulse, of n bodies. Refused as by :func:`strike`."""
     if not isinstance(external, Mapping):
         raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")

@@ -8,7 +8,7 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.impacts.bodies import RigidBodies
-from protochain.mechanisms.impacts.external import External, checked
+from protochain.mechanisms.impacts.external import External, check_external
 from protochain.mechanisms.impacts.impact import Impact
 from protochain.mechanisms.impacts.points import ContactPoint
 
@@ -73,7 +73,7 @@ def impulse_stress(
     for point, impulse in zip(points, found.impulse, strict=True):
         push(point.bodies[0], point.point, -impulse, none)
         push(point.bodies[1], point.point, impulse, none)
-    for body, (at, impulse) in checked(external or {}, tree.n_bodies).items():
+    for body, (at, impulse) in check_external(external or {}, tree.n_bodies).items():
         push(body, at, impulse, none)
     change = bodies.twists(found.qd) - bodies.twists(qd)
     for b in reversed(range(tree.n_bodies)):

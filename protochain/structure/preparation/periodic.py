@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import components, grouped
+from protochain.core.graph import components, group_members
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import Residue
 from protochain.structure.preparation.draft import Changes, Draft
@@ -126,7 +126,7 @@ class _Molecules:
     def join_images(self) -> list[int]:
         """Bring molecules that touch no other to the image that does, and return their first residues."""
         heavy = np.array([k for k, atom in enumerate(self.atoms) if not atom.is_hydrogen()])
-        groups = [heavy[atoms] for atoms in grouped(self.piece[self.of[heavy]])]
+        groups = [heavy[atoms] for atoms in group_members(self.piece[self.of[heavy]])]
         # Waters stay: they are obstacles at most, and many.
         groups = [atoms for atoms in groups if [self.atoms[k].element.name for k in atoms] not in ([], ["O"])]
         pieces = {int(self.piece[self.of[atoms[0]]]): atoms for atoms in groups}

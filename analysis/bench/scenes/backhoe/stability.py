@@ -10,7 +10,7 @@ from bench.scenes.backhoe.machine import ARM, GROUND, LOWER, LOWER_AT, PAD, Desi
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
 from protochain.mechanisms import Law, State
-from protochain.mechanisms.reactions import phases, transmitted
+from protochain.mechanisms.reactions import phases, transmitted_forces
 
 
 def loads(state: State, design: Design, law: Law = GROUND) -> Floats:
@@ -84,7 +84,7 @@ def traced(worked: Worked, every: int = 1) -> pd.DataFrame:
         pressure = np.nan
         if total > 0.0:
             pressure = float(np.min(inside_by(carried @ feet[:, :2] / total, corners[:, :2])))
-        passed, middle = transmitted(model, at).hinges[ring], centre(state)
+        passed, middle = transmitted_forces(model, at).hinges[ring], centre(state)
         weight, own = np.array([0.0, 0.0, -LOWER * G]), state.point("tracks", LOWER_AT)
         force = weight - passed[3:]
         moment = (
