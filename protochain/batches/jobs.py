@@ -25,7 +25,7 @@ from protochain.core.checks import (
     several,
 )
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.settings import Setting, documented, setting, settings_of
+from protochain.core.settings import Setting, document_settings, setting, settings_of
 from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
@@ -42,7 +42,7 @@ from protochain.structure.preparation.read import model_numbers
 _GLOB = frozenset("*?[")
 
 
-@documented()
+@document_settings()
 @dataclass(frozen=True)
 class BatchSettings(StartSettings, MinimiseSettings):
     """How each structure of a batch is prepared, and what is done to it.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.chains.hinges import Hinge
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import instance, number, text
 from protochain.core.errors import ChainError, refused
 from protochain.mechanics import multibody
@@ -215,7 +215,7 @@ def place_atoms(chain: Chain, frames: Frames) -> Floats:
     """Positions (na, 3) in nm of the atoms, from the frames of their bodies."""
     x = np.empty((chain.n_atoms, 3))
     _place_atoms(chain.atom_body, chain.atom_local, frames.rotation, frames.origin, x)
-    return frozen(x)
+    return freeze(x)
 
 
 def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:

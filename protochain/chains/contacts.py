@@ -74,7 +74,7 @@ def _keys(structure: Structure, bonds: int) -> Integers:
 @of_atoms
 def joined(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
-    return graph.joined(structure.bonds, structure.n_atoms, bonds)
+    return graph.pairs_within(structure.bonds, structure.n_atoms, bonds)
 
 
 @at_positions

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from protochain.chains.chain import Chain
-from protochain.core.arrays import Floats, frozen
+from protochain.core.arrays import Floats, freeze
 from protochain.energies.protocol import Energy
 from protochain.structure.molecule.model import Structure
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
@@ -39,7 +39,7 @@ class Frame:
         # Two points fix no rotation.
         fitted = alpha if len(alpha) > 2 else np.arange(len(x))
         turn, shift = motion(x[fitted], self.start.positions[fitted])
-        return frozen(x @ turn.T + shift)
+        return freeze(x @ turn.T + shift)
 
     def ca_rmsds(self, x: Floats) -> tuple[float, float]:
         """C-alpha RMSDs to the start in angstrom: superposed, and of positions as they are filed."""

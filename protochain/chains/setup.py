@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from protochain.core import checks, defaults
 from protochain.core.checks import NO_BONDS, Bond, LigandSource
 from protochain.core.errors import Argument, ProtochainError, refused
-from protochain.core.settings import Settings, documented, setting
+from protochain.core.settings import Settings, document_settings, setting
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -31,7 +31,7 @@ class Prepared(NamedTuple):
     energy: "Energy"
 
 
-@documented()
+@document_settings()
 @dataclass(frozen=True)
 class Setup(Settings):
     """How a structure is read, cut into rigid bodies and given an energy.

@@ -42,10 +42,10 @@ def _rebuild(kind: type, *values: Any) -> Any:
 
 def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     """Return a contiguous read-only copy."""
-    return frozen(np.array(array, dtype=dtype, order="C"))
+    return freeze(np.array(array, dtype=dtype, order="C"))
 
 
-def frozen(array: Floats) -> Floats:
+def freeze(array: Floats) -> Floats:
     """Make an array without other owners read-only, and return it."""
     # By position: a third of the time of the flag's attribute, and of the keyword.
     array.setflags(False)  # type: ignore[call-arg]  # numpy's stub has it by keyword only
@@ -68,7 +68,7 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
         raise ProtochainError(f"{name}: give an array of numbers of shape {shape}") from None
     if array.shape != shape:
         raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
-    return frozen(array.view())
+    return freeze(array.view())
 
 
 def finite(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

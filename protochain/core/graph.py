@@ -48,7 +48,7 @@ def group_members(of: Integers) -> list[Integers]:
     return np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
 
 
-def joined(bonds: Integers, n: int, n_most: int) -> Integers:
+def pairs_within(bonds: Integers, n: int, n_most: int) -> Integers:
     """(k, 2) int: pairs of n atoms separated by at most so many of the bonds (m, 2), smaller index first."""
     step = _adjacency(both_ways(bonds), n)
     reach, power = step, step

@@ -70,7 +70,7 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
             yield column.name, column.metadata["setting"]
 
 
-def documented(*kinds: type) -> Callable[[Documented], Documented]:
+def document_settings(*kinds: type) -> Callable[[Documented], Documented]:
     """Decorate a function, or a class of settings: its docstring gets an entry for each of the settings."""
 
     def decorate(target: Documented) -> Documented:
@@ -104,7 +104,7 @@ def settings_from(kind: type[Made], arguments: Mapping[str, Any], **other_fields
     return kind(**{name: arguments[name] for name, _ in settings_of(kind)}, **other_fields)
 
 
-def given(**options: Any) -> dict[str, Any]:
+def without_none(**options: Any) -> dict[str, Any]:
     """Options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
 

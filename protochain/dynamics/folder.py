@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats, frozen
+from protochain.core.arrays import Floats, freeze
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import check_writable, json_text, write_text, writing
@@ -213,7 +213,7 @@ def _state(tree: Tree, kept: Checkpoint) -> State:
         "root": fresh.root.shape, "memory": (arrays["memory"].size,), "work": (arrays["work"].size,),
         "loads": (len(arrays["loads"]), tree.n_v),
     }  # fmt: skip
-    a = {name: frozen(kept.array(name, shape)) for name, shape in shapes.items()}
+    a = {name: freeze(kept.array(name, shape)) for name, shape in shapes.items()}
     if len(a["loads"]) and len(a["loads"]) != len(a["work"]):
         raise ValueError(f"work of {len(a['work'])} loads, not {len(a['loads'])}")
     factors = Articulated(

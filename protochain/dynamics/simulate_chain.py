@@ -23,7 +23,7 @@ from protochain.core.checks import WATCHER, checked, optional, path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import documented, settings_from
+from protochain.core.settings import document_settings, settings_from
 from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
@@ -45,7 +45,7 @@ from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 
 
-@documented(SimulationSettings, RunSettings)
+@document_settings(SimulationSettings, RunSettings)
 @checked(output=optional(path), watch=WATCHER)
 def simulate(
     chain: Any,

@@ -23,7 +23,7 @@ from protochain.core.checks import (
     text,
 )
 from protochain.core.errors import Argument, ProtochainError, refused
-from protochain.core.settings import Settings, documented, setting
+from protochain.core.settings import Settings, document_settings, setting
 from protochain.core.units import MOLAR_GAS
 
 LONGEST_STEP = 0.5
@@ -35,7 +35,7 @@ FARTHEST_PULL = 0.1
 """nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
 
 
-@documented()
+@document_settings()
 @dataclass(frozen=True)
 class Pull(Settings):
     """Spring between two places of a structure, whose length at rest changes at constant speed.

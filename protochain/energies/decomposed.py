@@ -19,7 +19,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, distance
 from protochain.core.checks import checked, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
-from protochain.core.settings import given
+from protochain.core.settings import without_none
 from protochain.energies.custom import as_energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.neighbours import partners as partners_of
@@ -137,9 +137,9 @@ def energy_terms(
     """
     import pandas as pd
 
-    structure = as_structure(source, **given(forcefield=forcefield), **settings)
+    structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = None if between is None else _parts(structure, between)
-    made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))
+    made = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
     native = native_of(made)
     if native is None:
         raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")

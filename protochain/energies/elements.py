@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
-from protochain.core.graph import joined
+from protochain.core.graph import pairs_within
 from protochain.core.units import KJ_PER_KCAL
 from protochain.energies.native.terms import TIES
 from protochain.structure.molecule.links import is_metal
@@ -562,7 +562,7 @@ def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[
     across |= np.diff(structure.obstacle[bonds]).ravel() | structure.coordination
     pairs: set[tuple[int, int]] = set()
     if across.any():
-        near, without = (map(tuple, joined(some, n, 3).tolist()) for some in (bonds, bonds[~across]))
+        near, without = (map(tuple, pairs_within(some, n, 3).tolist()) for some in (bonds, bonds[~across]))
         pairs = {*near} - {*without}
     atoms = np.flatnonzero(structure.obstacle)
     if len(atoms):

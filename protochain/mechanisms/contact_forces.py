@@ -99,9 +99,9 @@ class ContactForces:
         """The anchors."""
         return self.anchors
 
-    def recall(self, kept: Anchors | None) -> None:
+    def recall(self, memory: Anchors | None) -> None:
         """Restore the anchors of friction of a row."""
-        self.anchors = kept or NO_ANCHORS
+        self.anchors = memory or NO_ANCHORS
 
     def settle(self, at: Phase) -> None:
         """End a step: drag anchors along, and place anchors of new touches."""

@@ -137,19 +137,21 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     model, bodies = run.model, run.model.bodies
     outlines = tuple(_default_shapes(model) if shapes is None else _check_shapes(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
-    origin = np.array([each.origin for each in frames])
-    rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
+    origin = np.array([source.origin for source in frames])
+    rotation = np.array([source.rotation @ bodies.turn.swapaxes(1, 2) for source in frames])
     lines = _lines(model)
     finders = [part.finder for part in model.conservative if isinstance(part, ContactForces)]
     grounds = tuple(
-        Ground(each.body, bodies.axes(each.body).T @ each.at, bodies.axes(each.body).T @ each.normal)
-        for each in finders
-        if isinstance(each, OnPlane)
+        Ground(
+            source.body, bodies.axes(source.body).T @ source.at, bodies.axes(source.body).T @ source.normal
+        )
+        for source in finders
+        if isinstance(source, OnPlane)
     )
     meshes = tuple(
-        Mesh(each.body, each.corners @ bodies.axes(each.body))
-        for each in finders
-        if isinstance(each, OnSurface)
+        Mesh(source.body, source.corners @ bodies.axes(source.body))
+        for source in finders
+        if isinstance(source, OnSurface)
     )
     times, corner = run.time[list(rows)], np.zeros(3)
     picture = Drawing(bodies.names, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
@@ -162,7 +164,9 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
             reached += [at - reach, at + reach]
     fixed = lines.points[lines.ends < 0]
     reached += [
-        picture.place(k, each.body, each.corners).reshape(-1, 3) for each in meshes for k in range(len(rows))
+        picture.place(k, source.body, source.corners).reshape(-1, 3)
+        for source in meshes
+        for k in range(len(rows))
     ]
     everything = np.concatenate([*reached, fixed.reshape(-1, 3)])
     return picture._replace(low=everything.min(axis=0), high=everything.max(axis=0))

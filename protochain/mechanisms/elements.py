@@ -55,7 +55,7 @@ class Memory(Protocol):
     def kept(self) -> Any:
         """What forces depend on now, as a frozen value that goes into the rows of a run."""
 
-    def recall(self, kept: Any) -> None:
+    def recall(self, memory: Any) -> None:
         """Restore the forces of a row. None restores forces without a past."""
 
 

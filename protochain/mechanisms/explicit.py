@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from protochain.core.arrays import Floats, floats, frozen, read_only
+from protochain.core.arrays import Floats, floats, freeze, read_only
 from protochain.mechanics.motion import DormandPrince, Equations, Phase, RungeKutta4, System
 from protochain.mechanics.multibody import Frames, articulated, kinematics
 from protochain.mechanics.multibody.algebra import kernel
@@ -95,7 +95,7 @@ class InOneKernel(Equations):
         return self._phase(state, at.time + h, at.work), moved, quickened
 
     def march(
-        self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, every: int
+        self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, stride: int
     ) -> tuple[list[Any], Phase, int]:
         """March in one call, in substeps within a tolerance, if the method has one."""
         # -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many steps were
@@ -105,12 +105,12 @@ class InOneKernel(Equations):
         work = at.work.sum()
         n_taken, end, rows = _march(
             h, method.tableau.arrays, self._arrays, floats(at.q, (self.tree.n_q,), "q"),
-            floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, every,
+            floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, stride,
             getattr(method, "tolerance", 0.0), method.order, self.units,
         )  # fmt: skip
         if not n_taken:
             return [], at, 0
-        times, q, qd, p, energies, works = (column[: n_taken // every] for column in rows)
+        times, q, qd, p, energies, works = (column[: n_taken // stride] for column in rows)
         worked = works[:, None] if len(at.work) else np.empty((len(works), 0))
         listed = zip(times.tolist(), q, qd, p, energies.tolist(), worked, [0.0] * len(works), strict=True)
         *state, total, time = end
@@ -119,8 +119,8 @@ class InOneKernel(Equations):
     def _phase(self, state: Sequence[Any], time: float, work: Floats) -> Phase:
         """Phase at the end of steps, after work before them."""
         q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, added = state
-        frames = Frames(frozen(rotation), frozen(origin))
-        factors_there = Articulated(self.tree, frames, *map(frozen, (packed, gain, pivot, root)))
+        frames = Frames(freeze(rotation), freeze(origin))
+        factors_there = Articulated(self.tree, frames, *map(freeze, (packed, gain, pivot, root)))
         if not self.loads:
             return Phase(q, qd, p, energy, torque, factors_there, time, work)
         return Phase(q, qd, p, energy, torque, factors_there, time, work + added, damped[None])
@@ -139,10 +139,10 @@ class CompiledLoops(InOneKernel, ClosedEquations):
 @kernel
 def _march(
     h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats, work: float,
-    time: float, steps: int, every: int, tolerance: float, order: int, units: Floats,
+    time: float, steps: int, stride: int, tolerance: float, order: int, units: Floats,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
-    n, total, now, n_taken = steps // every, work, time, 0
+    n, total, now, n_taken = steps // stride, work, time, 0
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
     last = _step(0.0, tableau, arrays, start.copy(), speed.copy())
@@ -174,8 +174,8 @@ def _march(
         if not possible or abs(h - elapsed) > 1e-12 * abs(h):
             break
         last, total, now, n_taken = current, spent, now + h, i + 1
-        if n_taken % every == 0:
-            k = i // every
+        if n_taken % stride == 0:
+            k = i // stride
             times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
             energies[k], works[k] = last[4], total
     (_, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _) = last

@@ -178,10 +178,16 @@ class _Simulation:
     """A run as it comes: its rows, with a look at the energy now and then."""
 
     def __init__(
-        self, model: Model, start: Phase, integrator: Integrator, time_step: float, every: int, balance: float
+        self,
+        model: Model,
+        start: Phase,
+        integrator: Integrator,
+        time_step: float,
+        stride: int,
+        balance: float,
     ) -> None:
         self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
-        self.every, self.balance = every, balance
+        self.stride, self.balance = stride, balance
         self.remedy = integrator.remedy
         self.rows: list[Row] = []
         self.kept: list[tuple[Any, ...]] = []
@@ -226,7 +232,7 @@ class _Simulation:
         bodies, joints = self.model.bodies, self.model.bodies.joints
         if joints is None or self.model.drive is None:
             return
-        for _ in range(self.every):
+        for _ in range(self.stride):
             time += self.time_step
             closed = closing(bodies, joints, system.driven_to(time, q, qd)[0])
             if closed is None:
@@ -290,13 +296,13 @@ class _Simulation:
 
     def without_events(self, until: float) -> Phase:
         """March as ``mechanisms.march`` does, many steps in one kernel if possible."""
-        system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
-        at, count, look = self.start, 0, every * _LOOK
+        system, step, h, stride = self.model.system, self.integrator.step, self.time_step, self.stride
+        at, count, look = self.start, 0, stride * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.
         n = int((until - at.time) / h) - 2
         if isinstance(system, InOneKernel) and isinstance(self.integrator, RungeKutta4 | DormandPrince):
             while count < n:
-                rows, at, n_taken = system.march(self.integrator, at, h, min(look, n - count), every)
+                rows, at, n_taken = system.march(self.integrator, at, h, min(look, n - count), stride)
                 self.rows += rows
                 count += n_taken
                 if n_taken < look:
@@ -305,9 +311,9 @@ class _Simulation:
         while (left := until - at.time) > _SAME * h:
             at = step(system, at, h if left > (1.0 + _SAME) * h else left)
             count += 1
-            if count % every == 0:
+            if count % stride == 0:
                 self.add(at)
-        if count % every:
+        if count % stride:
             self.add(at)
         return at
 
@@ -321,7 +327,7 @@ class _Simulation:
             for memory in model.memories:
                 memory.settle(at)
             count += event is None
-            if event is not None or count % self.every == 0:
+            if event is not None or count % self.stride == 0:
                 self.add(at)
         if self.rows[-1][0] != at.time:
             self.add(at)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze
 from protochain.core.compilation import njit
 from protochain.core.errors import MechanicsError
 
@@ -121,10 +121,10 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
     layer = size[0] * size[1]
     first = np.array([0, size[0] - 1, layer - size[0] - 1, layer - 1, layer + size[0] - 1])
     for a in range(n):
-        own_items = order[a]
+        item = order[a]
         for row in range(5):
-            wanted, width = cell[a] + first[row], 3 if row else 2
-            place = wanted & (places - 1)
+            neighbour_cell, width = cell[a] + first[row], 3 if row else 2
+            place = neighbour_cell & (places - 1)
             # A row goes on at the beginning of the table where it passes the end.
             beyond = place + width - places
             b, end = start[place] if row else a + 1, start[min(place + width, places)]
@@ -132,14 +132,18 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
                 while count + end - b > room:
                     room *= 2
                     pairs = wider(pairs, room)
-                for other in range(b, end):
-                    dx, dy, dz = x[a, 0] - x[other, 0], x[a, 1] - x[other, 1], x[a, 2] - x[other, 2]
-                    reach, step = r[a] + r[other], cell[other] - wanted
+                for candidate in range(b, end):
+                    dx, dy, dz = (
+                        x[a, 0] - x[candidate, 0],
+                        x[a, 1] - x[candidate, 1],
+                        x[a, 2] - x[candidate, 2],
+                    )
+                    reach, step = r[a] + r[candidate], cell[candidate] - neighbour_cell
                     # Written in any case and kept if near: a branch that cannot be foreseen costs more.
                     near = dx * dx + dy * dy + dz * dz <= reach * reach
                     pairs[count, 0], pairs[count, 1] = (
-                        min(own_items, order[other]),
-                        max(own_items, order[other]),
+                        min(item, order[candidate]),
+                        max(item, order[candidate]),
                     )
                     count += near & (step >= 0) & (step < width)
                 b, end = 0, start[max(beyond, 0)]
@@ -221,14 +225,16 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     """
     n = len(low)
     low, high = floats(low, (n, 3), "low"), floats(high, (n, 3), "high")
-    wrong = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
-    if np.any(wrong):
-        raise MechanicsError(f"box {int(np.argmax(wrong))}: its corners must be finite, the low one below")
+    is_invalid = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
+    if np.any(is_invalid):
+        raise MechanicsError(
+            f"box {int(np.argmax(is_invalid))}: its corners must be finite, the low one below"
+        )
     node_low, node_high, after, items, order = _halve(low, high)
     for array in (after, items, order):
         array.flags.writeable = False
-    own_items = frozen(low.copy()), frozen(high.copy())
-    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own_items)
+    own_items = freeze(low.copy()), freeze(high.copy())
+    return BoxTree(freeze(node_low), freeze(node_high), after, items, order, *own_items)
 
 
 def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:

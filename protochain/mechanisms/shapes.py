@@ -173,12 +173,14 @@ class Among:
             return
         pair = touching(start + 0.5 * move, radius + 0.5 * way)
         i, j = pair.T
-        other = (body[i] != body[j]) & ((self.first == 0) | ((i < self.first) & (j >= self.first)))
-        i, j = i[other], j[other]
-        apart, moved = start[i] - start[j], move[i] - move[j]
-        along = -np.sum(apart * moved, axis=1) / np.maximum(np.sum(moved**2, axis=1), np.finfo(float).tiny)
+        is_other_body = (body[i] != body[j]) & ((self.first == 0) | ((i < self.first) & (j >= self.first)))
+        i, j = i[is_other_body], j[is_other_body]
+        separation, moved = start[i] - start[j], move[i] - move[j]
+        along = -np.sum(separation * moved, axis=1) / np.maximum(
+            np.sum(moved**2, axis=1), np.finfo(float).tiny
+        )
         # At the ends of the way the depth is looked at as it is.
-        least = np.linalg.norm(apart + along[:, None] * moved, axis=1)
+        least = np.linalg.norm(separation + along[:, None] * moved, axis=1)
         _refuse_passage(
             self.name, i, (along > 0) & (along < 1) & (least < 0.5 * np.maximum(radius[i], radius[j]))
         )
@@ -261,22 +263,22 @@ Finder = OnPlane | Among | OnSurface
 """Touches of some balls with an obstacle: a body, -1 for the world, or any number if these are balls."""
 
 
-def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
+def finder(bodies: Bodies, balls: Sequence[Ball], obstacle: Other, name: str) -> Finder:
     """Finder of touches of balls with a plane, a surface, other balls, or each other (None)."""
     bound = balls_of(bodies, balls, name)
-    if isinstance(other, Plane):
-        body = bodies.number(other.body, name)
-        normal = numbers(other.normal, (3,), f"{name}: the normal of the plane")
+    if isinstance(obstacle, Plane):
+        body = bodies.number(obstacle.body, name)
+        normal = numbers(obstacle.normal, (3,), f"{name}: the normal of the plane")
         if not np.any(normal):
             raise MechanicsError(f"{name}: the normal of the plane has no direction")
         _refuse_own(bound, body, name)
-        at = bodies.inside(body, numbers(other.at, (3,), f"{name}: the point of the plane"))
+        at = bodies.inside(body, numbers(obstacle.at, (3,), f"{name}: the point of the plane"))
         return OnPlane(bound, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
-    if isinstance(other, Surface):
-        return _on_surface(bodies, bound, other, name)
-    if other is None:
+    if isinstance(obstacle, Surface):
+        return _on_surface(bodies, bound, obstacle, name)
+    if obstacle is None:
         return Among(bound, 0, name)
-    return Among(balls_of(bodies, [*balls, *other], name), len(balls), name)
+    return Among(balls_of(bodies, [*balls, *obstacle], name), len(balls), name)
 
 
 def _on_surface(bodies: Bodies, balls: Balls, surface: Surface, name: str) -> OnSurface:
@@ -352,11 +354,11 @@ def _normals_between(
         i, j = pairs[k, 0], pairs[k, 1]
         if body[i] == body[j] or (first > 0 and (i >= first or j < first)):
             continue
-        apart = subtract(vector(centre, i), vector(centre, j))
-        length = np.sqrt(dot(apart, apart))
+        separation = subtract(vector(centre, i), vector(centre, j))
+        length = np.sqrt(dot(separation, separation))
         deep = radius[i] + radius[j] - length
         # Centres that coincide have no direction; any will do, until the step is refused.
-        up = scale(1.0 / length, apart) if length > 0.0 else (0.0, 0.0, 1.0)
+        up = scale(1.0 / length, separation) if length > 0.0 else (0.0, 0.0, 1.0)
         if deep > 0.0:
             pair[count, 0], pair[count, 1], ends[count, 0], ends[count, 1] = i, j, body[i], body[j]
             depth[count] = deep

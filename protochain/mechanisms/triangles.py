@@ -59,7 +59,7 @@ def least_distances(
     # touches an edge from outside, it touches it once.
     n = len(near)
     points, distance, inside = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_)
-    kept = np.empty(n, np.int64)
+    touching = np.empty(n, np.int64)
     count = 0
     for k in range(n):
         i = near[k, 0]
@@ -75,20 +75,28 @@ def least_distances(
             at, hidden = (points[k, 0], points[k, 1], points[k, 2]), False
             same = SAME * radius[i]
             # The other triangles of this ball.
-            other = k
-            while other > 0 and near[other - 1, 0] == i:
-                other -= 1
-            while other < n and near[other, 0] == i and not hidden:
-                if other != k and length(subtract(at, nearest(at, corners, near[other, 1])[0])) <= same:
-                    nearest_other = (points[other, 0], points[other, 1], points[other, 2])
-                    hidden = other < k or inside[other] or length(subtract(at, nearest_other)) > same
-                other += 1
+            rival = k
+            while rival > 0 and near[rival - 1, 0] == i:
+                rival -= 1
+            while rival < n and near[rival, 0] == i and not hidden:
+                if rival != k and length(subtract(at, nearest(at, corners, near[rival, 1])[0])) <= same:
+                    nearest_other = (points[rival, 0], points[rival, 1], points[rival, 2])
+                    hidden = rival < k or inside[rival] or length(subtract(at, nearest_other)) > same
+                rival += 1
             if hidden:
                 continue
-        kept[count] = k
+        touching[count] = k
         count += 1
     pair, point, separation = np.empty((count, 2), np.int64), np.empty((count, 3)), np.empty(count)
     for k in range(count):
-        pair[k, 0], pair[k, 1], separation[k] = near[kept[k], 0], near[kept[k], 1], distance[kept[k]]
-        point[k, 0], point[k, 1], point[k, 2] = points[kept[k], 0], points[kept[k], 1], points[kept[k], 2]
+        pair[k, 0], pair[k, 1], separation[k] = (
+            near[touching[k], 0],
+            near[touching[k], 1],
+            distance[touching[k]],
+        )
+        point[k, 0], point[k, 1], point[k, 2] = (
+            points[touching[k], 0],
+            points[touching[k], 1],
+            points[touching[k], 2],
+        )
     return pair, point, separation

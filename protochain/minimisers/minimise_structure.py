@@ -24,7 +24,7 @@ from protochain.core.checks import WATCHER, checked
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import documented, settings_from
+from protochain.core.settings import document_settings, settings_from
 from protochain.core.timings import timed, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
@@ -43,7 +43,7 @@ from protochain.minimisers.verdict import Judgement, judge, rebuilt, rejected, v
 from protochain.validation.omega import twisted_bonds
 
 
-@documented(MinimiseSettings, CheckpointSettings)
+@document_settings(MinimiseSettings, CheckpointSettings)
 @checked(watch=WATCHER)
 def minimise(
     chain: Any,

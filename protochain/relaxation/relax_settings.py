@@ -11,12 +11,12 @@ from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, in_range, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.settings import Settings, documented, setting
+from protochain.core.settings import Settings, document_settings, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 
 
-@documented()
+@document_settings()
 @dataclass(frozen=True)
 class RelaxSettings(Settings):
     """How a structure is relaxed.

@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.settings import documented, settings_from
+from protochain.core.settings import document_settings, settings_from
 from protochain.core.storage import check_writable, claim_folder
 from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
@@ -70,7 +70,7 @@ class SearchProgress:
     acceptance: float
 
 
-@documented(SearchSettings, SearchRunSettings)
+@document_settings(SearchSettings, SearchRunSettings)
 @checked(
     output=optional(path), workers=optional(at_least(1)), scheduler=optional(text), watch=function("progress")
 )

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from protochain.chains.contacts import radii
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import components, joined
+from protochain.core.graph import components, pairs_within
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
@@ -123,7 +123,7 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
     together = structure.occupancy[near].sum(axis=1) > 1.0
     close = (radius[near].sum(axis=1) - apart > _CLASH) & together
     pairs, n = near[close], structure.n_atoms
-    near_by = joined(np.vstack([structure.bonds, _between(structure, x)]), n, 3)
+    near_by = pairs_within(np.vstack([structure.bonds, _between(structure, x)]), n, 3)
     return pairs[~np.isin(pairs @ [n, 1], near_by @ [n, 1])]
 
 

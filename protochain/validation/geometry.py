@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, frozen, read_only
+from protochain.core.arrays import Floats, Integers, freeze, read_only
 from protochain.structure.molecule.model import Structure, of_atoms
 from protochain.structure.molecule.residues import STANDARD, STATE_PARENT
 
@@ -66,7 +66,7 @@ def distances() -> tuple[Floats, Floats]:
             first, last = places[0], places[-1]
             mean[kind, first, last] = mean[kind, last, first] = value[0]
             sigma[kind, first, last] = sigma[kind, last, first] = value[1]
-    return frozen(mean), frozen(sigma)
+    return freeze(mean), freeze(sigma)
 
 
 def _opposite(

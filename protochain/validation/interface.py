@@ -15,7 +15,7 @@ from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
-from protochain.core.settings import given
+from protochain.core.settings import without_none
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.custom import as_energy
 from protochain.energies.decomposed import TERMS, interaction, native_of
@@ -258,9 +258,9 @@ def score_interface(
     >>> pc.score_interface("structures/3i40.pdb", "A", "B").scores["hydrogen_bonds"]
     6
     """
-    structure = as_structure(source, **given(forcefield=forcefield), **settings)
+    structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)
-    made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))
+    made = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
     beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
     return scored(structure, native(made), first, second, parts, confidence_in(beside))
 

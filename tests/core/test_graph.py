@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from protochain.core.graph import beyond, bond_angles, both_ways, components, joined, neighbours, within
+from protochain.core.graph import beyond, bond_angles, both_ways, components, neighbours, pairs_within, within
 from protochain.structure.sidechains.conflicts import beside, touching
 
 SQUARE = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [3, 4], [5, 6]])
@@ -32,7 +32,7 @@ def test_bond_angles_go_by_their_vertex():
 
 @pytest.mark.parametrize(("most", "more"), [(1, []), (2, [[0, 2], [0, 4], [1, 3], [2, 4]])])
 def test_pairs_few_bonds_apart(most, more):
-    assert sorted(joined(SQUARE, 8, most).tolist()) == sorted(SQUARE.tolist() + more)
+    assert sorted(pairs_within(SQUARE, 8, most).tolist()) == sorted(SQUARE.tolist() + more)
 
 
 def test_side_chains_that_may_touch_and_their_tables():

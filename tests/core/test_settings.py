@@ -9,7 +9,7 @@ from numpydoc.docscrape import FunctionDoc
 import protochain as pc
 from protochain.batches import BatchSettings
 from protochain.core.checks import number, text
-from protochain.core.settings import Settings, documented, setting, settings_of
+from protochain.core.settings import Settings, document_settings, setting, settings_of
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
@@ -25,7 +25,7 @@ class Heating(Settings):
 
 
 def test_entries_follow_the_signature_and_an_entry_of_the_docstring_itself_stays():
-    @documented(Heating)
+    @document_settings(Heating)
     def heat_up(source, speed=1.0, heat=None, last="", kind="fast"):
         """Heat up.
 

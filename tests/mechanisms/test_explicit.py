@@ -101,7 +101,7 @@ def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
             ), name
         # Of hinges only; and what is above a Cholesky factor is nothing.
         for read in (
-            lambda of: of.inertia, lambda of: of.gain[of.tree.hinged], lambda of: of.pivot,
+            lambda of: of.inertia, lambda of: of.gain[of.tree.hinge_bodies], lambda of: of.pivot,
             lambda of: np.tril(of.root), lambda of: of.frames.rotation, lambda of: of.frames.origin,
         ):  # fmt: skip
             assert read(at.factors) == pytest.approx(read(there.factors), rel=1e-10, abs=1e-11)

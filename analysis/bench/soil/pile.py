@@ -15,7 +15,7 @@ from bench.soil.box_volume import WHOLE
 from bench.soil.contact import N_MEMORY
 from bench.soil.kernels import DONE, LISTS, TOO_DEEP, Boards, Cubes, Lists, Planes, carry_over, march
 from bench.soil.parts import Heap, Law, Motion, Plates, Sleep, check_boxes
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
@@ -181,9 +181,9 @@ class Pile(Value):
         if why != DONE:
             self._refuse(why, i, j, depth, time)
         start, other, memory = lists
-        values: dict[str, Any] = {name: frozen(array) for name, array in own.items()}
+        values: dict[str, Any] = {name: freeze(array) for name, array in own.items()}
         end = replace(
-            heap, time=heap.time + steps * h, start=start, other=other, memory=frozen(memory), **values
+            heap, time=heap.time + steps * h, start=start, other=other, memory=freeze(memory), **values
         )
         return end, reaction
 

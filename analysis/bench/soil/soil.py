@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.soil.parts import Heap, Motion
 from bench.soil.pile import Pile
-from protochain.core.arrays import Floats, Integers, frozen
+from protochain.core.arrays import Floats, Integers, freeze
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load, Phase
@@ -155,7 +155,7 @@ class Digging:
         motion = between(self._frames(before), self._frames(at), span, steps)
         heap, reaction = self.pile.advance(self.heap, steps, span / steps, motion)
         mean = np.mean(reaction, axis=0)
-        self.heap, self.mean, self.pushes = heap, mean, frozen(2.0 * mean - self.mean)
+        self.heap, self.mean, self.pushes = heap, mean, freeze(2.0 * mean - self.mean)
         self.looks.append(self._look(at.time))
 
     def _frames(self, at: Phase) -> tuple[Floats, Floats, Floats]:

@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, frozen
+from protochain.core.arrays import Floats, Integers, freeze
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion.correction import correct
 from protochain.mechanics.motion.system import (
@@ -126,7 +126,7 @@ class Workspace(NamedTuple):
         """Return the frames and factors of a drift that has succeeded."""
         if failed:
             raise StepTooLargeError("no velocities solve the equations of the time step")
-        rotation, origin, *arrays = (frozen(array) for array in self)
+        rotation, origin, *arrays = (freeze(array) for array in self)
         return Articulated(tree, Frames(rotation, origin), *arrays)
 
 

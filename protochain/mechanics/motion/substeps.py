@@ -27,13 +27,13 @@ def in_substeps(
     tolerance: float,
     order: int,
     least: float = _LEAST,
-    most: int | None = None,
+    n_most: int | None = None,
 ) -> Phase:
     """Advance by one time step, in as many substeps as the tolerance requires."""
     start, elapsed, part = at.time, 0.0, time_step
     cause, fault = "", None
-    most = most or _MOST
-    for _ in range(most):
+    n_most = n_most or _MOST
+    for _ in range(n_most):
         if not abs(time_step - elapsed) > 1e-12 * abs(time_step):
             return system.at_time(at, start + time_step)
         part = part if abs(part) < abs(time_step - elapsed) else time_step - elapsed
@@ -56,6 +56,6 @@ def in_substeps(
             factor = 0.9
         part *= 5.0 if size == 0.0 else factor
     raise StepTooLargeError(
-        f"{most} substeps make only {elapsed / time_step:.1g} of the time step: something is too stiff for "
+        f"{n_most} substeps make only {elapsed / time_step:.1g} of the time step: something is too stiff for "
         "this method or its tolerance"
     )

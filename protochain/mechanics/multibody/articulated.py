@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, floats, frozen
+from protochain.core.arrays import Floats, Integers, floats, freeze
 from protochain.core.errors import BodyError
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale
@@ -59,7 +59,7 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
             ),
             frames.rotation,
         )
-    return Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
+    return Articulated(tree, frames, freeze(packed), freeze(gain), freeze(pivot), freeze(root))
 
 
 def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Floats:
@@ -109,7 +109,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     # motion of its parent. After Jain, Vaidehi, Rodriguez (1993). O(n).
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()
-    x[tree.v_start[tree.hinged]] /= np.sqrt(factors.pivot[tree.hinged])
+    x[tree.v_start[tree.hinge_bodies]] /= np.sqrt(factors.pivot[tree.hinge_bodies])
     for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
         freedoms = slice(tree.v_start[b], tree.v_start[b + 1])
         x[freedoms] = np.tril(factor) @ x[freedoms]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, floats, freeze, read_only
 from protochain.core.errors import BodyError, Fault, MechanicsError
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract
@@ -73,7 +73,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     if failed >= 0:
         raise BodyError(failed, "its hinge's block of H is singular to round-off")
     return Eliminated(
-        tree, frames, frozen(inverse), frozen(factor), frozen(gain), read_only(n_hard, np.int64)
+        tree, frames, freeze(inverse), freeze(factor), freeze(gain), read_only(n_hard, np.int64)
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.tree import AXES, OFFSET, PARENT, SLIDE, TURN, Q, Tree, V
@@ -59,7 +59,7 @@ def pose(tree: Tree, q: Floats) -> Frames:
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
     outward_frames(tree.links, tree.bodies, floats(q, (tree.n_q,), "q"), rotation, origin)
-    return Frames(frozen(rotation), frozen(origin))
+    return Frames(freeze(rotation), freeze(origin))
 
 
 def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:

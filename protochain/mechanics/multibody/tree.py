@@ -133,7 +133,7 @@ class Tree(Value):
         return _starts(self.kind, N_V)
 
     @cached_property
-    def hinged(self) -> Integers:
+    def hinge_bodies(self) -> Integers:
         """(k,) int: bodies with one freedom."""
         return read_only(np.flatnonzero(np.diff(self.v_start) == 1), np.int64)
 

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody.kinematics import integrate as integrate_rigid
 from protochain.mechanics.multibody.tree import Tree
@@ -210,7 +210,7 @@ def bend(flexible: Flexible, q: Floats) -> Bent:
         flexible.links, flexible.seats, place, moves, turns, shortening, floats(q, (flexible.n_q,), "q"),
         rotation, origin, columns,
     )  # fmt: skip
-    return Bent(frozen(rotation), frozen(origin), frozen(columns))
+    return Bent(freeze(rotation), freeze(origin), freeze(columns))
 
 
 def integrate(flexible: Flexible, q: Floats, qd: Floats) -> Floats:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Value, floats, freeze, read_only
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.operational import Rows
@@ -178,10 +178,10 @@ def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> I
     m = len(loops)
     before, after = struck.before, row_speeds(bodies, struck.rows, qd)
     impulse, seen, left = (
-        frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
+        freeze(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
     )
     lost = -0.5 * float(impulses @ (before + after))
-    return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work - lost, lost)
+    return Impact(freeze(qd), impulse, seen, left, read_only(compression), freeze(loops), work - lost, lost)
 
 
 def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:

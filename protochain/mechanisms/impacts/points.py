@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
@@ -60,7 +60,7 @@ class ContactPoint(Value):
         length = float(np.linalg.norm(self.normal))
         if not length > 0.0:
             raise MechanicsError(f"contact {self.name!r}: its normal has no direction")
-        object.__setattr__(self, "normal", frozen(self.normal / length))
+        object.__setattr__(self, "normal", freeze(self.normal / length))
         for name in ("friction", "restitution"):
             number(getattr(self, name), f"contact {self.name!r}: its {name}")
         if not 0.0 <= self.friction < np.inf:

@@ -59,13 +59,13 @@ def measure(quick: bool) -> Iterator[Point]:
 
 def _gradients(n: int, quick: bool) -> Iterator[Point]:
     tree, q = _chain(n)
-    hinges = tree.hinged[np.linspace(0, len(tree.hinged) - 1, HINGES).astype(int)]
+    hinges = tree.hinge_bodies[np.linspace(0, len(tree.hinge_bodies) - 1, HINGES).astype(int)]
     places = tree.q_start[hinges]
     found = [extrapolated(partial(_wide_along, tree, q, k), WIDE(0.02)) for k in places]
     exact, left = np.array([float(value) for value, _ in found]), max(error for _, error in found)
     size = float(np.abs(exact).max())
     against = f"extrapolated differences in extended precision, which agree to {left / size:.0e}"
-    case, evaluations = f"gradient of ln det M, {n} bodies", 2.0 * len(tree.hinged)
+    case, evaluations = f"gradient of ln det M, {n} bodies", 2.0 * len(tree.hinge_bodies)
 
     def off(gradient: Floats) -> float:
         return float(np.abs(gradient - exact).max()) / size

@@ -49,7 +49,7 @@ def _posed(build: Build, angle: float | None = None) -> tuple[Tree, Frames, Floa
     rng = np.random.default_rng(7)
     q = rng.uniform(-3, 3, tree.n_q)
     if angle is not None:
-        q[tree.q_start[tree.hinged]] = angle
+        q[tree.q_start[tree.hinge_bodies]] = angle
     return tree, pose(tree, q), rng.normal(size=tree.n_v)
 
 
@@ -100,10 +100,10 @@ def gradient(build: Build, angle: float | None = None) -> Found:
     """Error of the gradient of ln det M along eight hinges, against central differences."""
     tree = build()
     q = np.random.default_rng(7).uniform(-3, 3, tree.n_q)
-    hinges = tree.q_start[tree.hinged]
+    hinges = tree.q_start[tree.hinge_bodies]
     if angle is not None:
         q[hinges] = angle
-    h, ours = 1e-4, log_det_gradient(tree, pose(tree, q))[tree.v_start[tree.hinged]]
+    h, ours = 1e-4, log_det_gradient(tree, pose(tree, q))[tree.v_start[tree.hinge_bodies]]
     value = log_det_mass(tree, pose(tree, q))
     error, third = 0.0, 0.0
     for k in np.linspace(0, len(hinges) - 1, min(8, len(hinges))).astype(int):

@@ -125,7 +125,7 @@ def unconditionally(kind: str, k: float, free: bool, times: float) -> Found:
     # error of position is h times that, and w h is 2 times.
     fastest = float(np.abs(qd).max())
     left = 1e-10 * max(1.0, fastest) / fastest
-    bound = sum(_changed(of, k, 1e-6) for k in of.system.tree.hinged) + 50 * 2 * left * (1 + 2 * times)
+    bound = sum(_changed(of, k, 1e-6) for k in of.system.tree.hinge_bodies) + 50 * 2 * left * (1 + 2 * times)
     return Found(abs(at.total / start - 1.0), bound, "its own start: a quadratic energy is kept")
 
 
