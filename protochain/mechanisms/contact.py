@@ -188,7 +188,7 @@ class Contact(Named):
     noun: ClassVar[str] = "contact"
 
     balls: Sequence[Ball]
-    obstacle: Other
+    other: Other
     law: Law
     friction: Friction | None = None
 
