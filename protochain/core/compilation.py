@@ -101,8 +101,8 @@ def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any
     # Its own lock first: a thread that waits for it must not hold what the compiling one needs.
     with global_compiler_lock, store.alone():
         if not store.has(signature, kernel.targetctx):
-            _announce(store.kept)
-            if store.kept:
+            _announce(store.has_folder)
+            if store.has_folder:
                 compile_helpers.call_helpers(
                     f"{kernel.py_func.__module__} {kernel.py_func.__qualname__}", Path(store.cache_path)
                 )
@@ -133,18 +133,18 @@ class Store:
         return None
 
     @property
-    def kept(self) -> bool:
+    def has_folder(self) -> bool:
         """Whether there is a folder for compiled code."""
         return self._files is not None
 
     @property
     def cache_path(self) -> str:
         """Folder of the files."""
-        return str(self._files.cache_path) if self.kept else ""
+        return str(self._files.cache_path) if self.has_folder else ""
 
     def has(self, signature: Any, context: Any) -> bool:
         """Whether compiled code is in the cache. Numba's context has the processor."""
-        if not (self._enabled and self.kept):
+        if not (self._enabled and self.has_folder):
             return False
         key = self._files._index_key(signature, context.codegen())
         try:
@@ -158,14 +158,14 @@ class Store:
         # Numba would also tell its compiler of all functions that it knows, for a tenth of a second; where it
         # compiles, it does so anyway. Loaded code needs no more than its memory manager.
         rtsys.initialize(context)
-        if self._enabled and self.kept:
+        if self._enabled and self.has_folder:
             with suppress(Exception):  # As above.
                 return self._files._load_overload(signature, context)
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Store compiled code. A full disk only loses it."""
-        if self._enabled and self.kept:
+        if self._enabled and self.has_folder:
             try:
                 self._files.save_overload(signature, compiled)
             except OSError as error:
@@ -182,7 +182,7 @@ class Store:
         from filelock import Timeout
 
         with ExitStack() as stack:
-            if self.kept:
+            if self.has_folder:
                 # Not all file systems have locks: then the code is compiled twice, and no file half written.
                 with suppress(Timeout, OSError, RuntimeError):
                     stack.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
@@ -218,7 +218,7 @@ class Store:
 
     def flush(self) -> None:
         """Remove the compiled code."""
-        if self.kept:
+        if self.has_folder:
             self._files.flush()
 
 

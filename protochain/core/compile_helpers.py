@@ -83,7 +83,7 @@ def help_out() -> None:
         if os.getppid() != caller:
             return
         store = kernel._cache
-        if not store.kept or store.has(types, kernel.targetctx) or not store.try_alone():
+        if not store.has_folder or store.has(types, kernel.targetctx) or not store.try_alone():
             continue
         try:
             kernel.compile(types)

@@ -161,7 +161,7 @@ def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
         return cho_factor(make(), lower=True, check_finite=False)
 
     # Of a large protein it takes seconds.
-    factor = factorised() if n < _LARGE else run_interruptible(factorised, held=True)
+    factor = factorised() if n < _LARGE else run_interruptible(factorised, is_deferred=True)
     return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
 
@@ -306,7 +306,7 @@ class Cartesian:
         else:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
             make = partial(curvature.near_solver, self.terms, at.x, self.moving, own, tether)
-        solve = make() if len(self.moving) < _LARGE else run_interruptible(make, held=True)
+        solve = make() if len(self.moving) < _LARGE else run_interruptible(make, is_deferred=True)
         return self._in_frames(at.x, solve)
 
     def _in_frames(self, x: Floats, solve: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
