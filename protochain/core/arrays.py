@@ -26,10 +26,8 @@ class Value:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Fields by which to make it anew."""
-        values_of_fields = [getattr(self, column.name) for column in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
-        arguments = [
-            dict(value) if isinstance(value, MappingProxyType) else value for value in values_of_fields
-        ]
+        values = [getattr(self, column.name) for column in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
+        arguments = [dict(value) if isinstance(value, MappingProxyType) else value for value in values]
         return _rebuild, (type(self), *arguments)
 
 
@@ -127,10 +125,8 @@ def angle(a: Floats, b: Floats, c: Floats) -> Floats:
 def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     """Dihedrals of points (..., 3), rad, -pi to pi, with the sign of IUPAC. Accurate at every angle."""
     first, axis, last = b - a, c - b, d - c
-    first_normal, second_normal = cross(first, axis), cross(axis, last)
-    return np.asarray(
-        np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, second_normal), dots(first_normal, second_normal))
-    )
+    m, n = cross(first, axis), cross(axis, last)
+    return np.asarray(np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, n), dots(m, n)))
 
 
 def dihedral_slopes(x: Floats, shortest: float = 1e-4) -> Floats:

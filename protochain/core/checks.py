@@ -291,9 +291,7 @@ def _read_fasta(file: Path, number: int, name: str) -> str:
     """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
     records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
     split = [
-        (head, re.split("[/:]", "".join(sequence.split()).strip("/:*")))
-        for head, sequence in records
-        if sequence.strip()
+        (head, re.split("[/:]", "".join(body.split()).strip("/:*"))) for head, body in records if body.strip()
     ]
     are_designs = len(split) > 1 and all(len(letters) > 1 for _, letters in split)
     if not number and not are_designs and not any(_DESIGN.search(head) for head, _ in split):
@@ -313,13 +311,9 @@ _DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidenc
 """What ProteinMPNN and LigandMPNN write above each design."""
 
 
-def force_field_parts(specification: str) -> list[str]:
+def force_field_parts(spec: str) -> list[str]:
     """Names and paths of a force field that is given in parts, with commas between."""
-    return (
-        [specification]
-        if Path(specification).exists()
-        else [name.strip() for name in specification.split(",") if name.strip()]
-    )
+    return [spec] if Path(spec).exists() else [name.strip() for name in spec.split(",") if name.strip()]
 
 
 NO_BONDS: Literal["none"] = "none"
@@ -329,18 +323,18 @@ Bond = tuple[str, str] | Literal["none"]
 """Two places, as ``("A:3", "A:40")``, or a single word."""
 
 
-def bonds(argument: Any, name: str) -> tuple[Bond, ...]:
+def bonds(value: Any, name: str) -> tuple[Bond, ...]:
     """Read bonds, ``("A:3", "A:40")``, ``"none"``, ``"A:3-A:40"``, with commas between. Refuse empty ones."""
-    if argument is None:
+    if value is None:
         return ()
-    entries = [argument] if isinstance(argument, str) else argument
+    entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, Iterable):
-        raise refused(name, shown(argument), "give pairs, as [('A:3', 'A:40')]")
+        raise refused(name, shown(value), "give pairs, as [('A:3', 'A:40')]")
     bonds = [bond for entry in entries for bond in (words(entry) if isinstance(entry, str) else [entry])]
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in bonds)
     if not read:
         remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
-        raise refused(name, shown(argument), *remedy)
+        raise refused(name, shown(value), *remedy)
     return read
 
 
@@ -359,11 +353,11 @@ CHARGE_RULES = ("nagl", "mmff94", "gasteiger")
 """Methods for the charges of ligands, in addition to a file."""
 
 
-def charges_of_ligands(argument: Any, name: str) -> str:
+def charges_of_ligands(value: Any, name: str) -> str:
     """Return a rule for charges, or the path of a file of them, as text."""
-    if file_name(argument, name) in CHARGE_RULES or Path(argument).is_file():
-        return str(argument)
-    raise refused(name, shown(argument), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
+    if file_name(value, name) in CHARGE_RULES or Path(value).is_file():
+        return str(value)
+    raise refused(name, shown(value), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
 
 
 LigandSource = tuple[str, str]
@@ -379,71 +373,65 @@ def file_and_record(specification: str | Path) -> tuple[Path, int]:
     return (Path(file), int(number)) if is_record else (Path(str(specification)), 0)
 
 
-def ligands(argument: Any, name: str) -> tuple[LigandSource, ...]:
+def ligands(value: Any, name: str) -> tuple[LigandSource, ...]:
     """Read sources of ligands: a mapping, or one or several of ``NAME=FILE``, ``NAME=SMILES``, ``FILE``."""
-    if argument is None:
+    if value is None:
         return ()
-    if isinstance(argument, Mapping):
-        argument = [*argument.items()]
-    elif isinstance(argument, str | Path):
-        argument = [argument]
-    if not isinstance(argument, Iterable):
-        raise refused(name, shown(argument), "give names and molecules, as {'LIG': 'ligand.sdf'}")
-    read = tuple(_ligand(ligand, name) for ligand in argument)
-    residue_names = [residue_name for residue_name, _ in read if residue_name]
-    twice = next(
-        (residue_name for residue_name in residue_names if residue_names.count(residue_name) > 1), None
-    )
+    if isinstance(value, Mapping):
+        value = [*value.items()]
+    elif isinstance(value, str | Path):
+        value = [value]
+    if not isinstance(value, Iterable):
+        raise refused(name, shown(value), "give names and molecules, as {'LIG': 'ligand.sdf'}")
+    read = tuple(_ligand(ligand, name) for ligand in value)
+    codes = [code for code, _ in read if code]
+    twice = next((code for code in codes if codes.count(code) > 1), None)
     if twice:
         raise refused(name, repr(twice), "is given twice; give each name one molecule")
     return read
 
 
-def _ligand(argument: Any, name: str) -> LigandSource:
-    last = str(argument[-1] if isinstance(argument, tuple | list) and argument else argument).rpartition("=")[
-        2
-    ]
+def _ligand(value: Any, name: str) -> LigandSource:
+    last = str(value[-1] if isinstance(value, tuple | list) and value else value).rpartition("=")[2]
     if last.lower().endswith(".pdbqt"):
         to = last[: -len("pdbqt")] + "sdf"
         raise refused(
-            name, shown(argument), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
+            name, shown(value), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
         )
-    if isinstance(argument, tuple | list) and len(argument) == 2:
-        residue_name, source = argument
+    if isinstance(value, tuple | list) and len(value) == 2:
+        residue_name, source = value
     else:
-        residue_name, source = "", argument
-        is_file = file_and_record(argument)[0].suffix.lower() in MOLECULE_SUFFIXES
-        before, sign, after = str(argument).partition("=")
+        residue_name, source = "", value
+        is_file = file_and_record(value)[0].suffix.lower() in MOLECULE_SUFFIXES
+        before, sign, after = str(value).partition("=")
         # ./a=b.sdf is a file.
         if (
             sign
             and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
-            and not (is_file and file_and_record(argument)[0].exists())
+            and not (is_file and file_and_record(value)[0].exists())
         ):
             residue_name, source = before, after
-        elif not is_file and not Path(str(argument)).is_dir():
-            raise refused(name, shown(argument), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
+        elif not is_file and not Path(str(value)).is_dir():
+            raise refused(name, shown(value), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
     if isinstance(residue_name, str) and isinstance(source, str | Path) and str(source).strip():
         return residue_name.strip().upper(), str(source).strip()
-    raise refused(name, shown(argument), "give a name and a file or SMILES, as LIG=ligand.sdf")
+    raise refused(name, shown(value), "give a name and a file or SMILES, as LIG=ligand.sdf")
 
 
 _SUFFIXES = ", ".join(MOLECULE_SUFFIXES)
 
 
-def ends(argument: Any, name: str) -> tuple[str, str]:
+def ends(value: Any, name: str) -> tuple[str, str]:
     """Read two places: ``("A:1:N", "A:20:C")``, ``"A:1:N-A:20:C"``, or any two with `` - `` between."""
-    if isinstance(argument, str):
-        matches = re.fullmatch(rf"({_PLACE})-({_PLACE})", argument.strip())
-        parts = tuple(part.strip() for part in argument.split(" - "))
+    if isinstance(value, str):
+        matches = re.fullmatch(rf"({_PLACE})-({_PLACE})", value.strip())
+        parts = tuple(part.strip() for part in value.split(" - "))
         read = matches.groups() if matches else parts
     else:
-        read = tuple(argument) if isinstance(argument, tuple | list) else ()
+        read = tuple(value) if isinstance(value, tuple | list) else ()
     if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
         return read[0].strip(), read[1].strip()
-    raise refused(
-        name, shown(argument), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between"
-    )
+    raise refused(name, shown(value), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
 
 
 _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
@@ -452,7 +440,7 @@ _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
 
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
     """Split a text at its commas. Return a sequence of words as it is."""
-    split = value.split(",") if isinstance(value, str) else _list_of_texts(value, name)
+    split = value.split(",") if isinstance(value, str) else _texts(value, name)
     return tuple(word.strip() for word in split if word.strip())
 
 
@@ -465,9 +453,7 @@ def several(value: Any, name: str) -> tuple[Any, ...]:
 
 def kinds(value: str | Iterable[str], name: str) -> str:
     """Return words, given as one text or as a sequence, as one text with blanks between."""
-    return " ".join(
-        re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _list_of_texts(value, name)
-    )
+    return " ".join(re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _texts(value, name))
 
 
 def function(*parameters: str) -> Check:
@@ -503,10 +489,8 @@ def following(protocol: type, *names: str) -> Check:
     def check(value: Any, name: str) -> Any:
         refuse_class(value, name)
         members = {n: getattr(protocol, n) for n in names}
-        overridden = {
-            n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not members[n]
-        }
-        if lacking := [n for n in names if n not in overridden]:
+        present = {n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not members[n]}
+        if lacking := [n for n in names if n not in present]:
             raise ProtochainError(
                 f"{name} {type(value).__name__}: has no {', '.join(lacking)}; a {protocol.__name__} has "
                 f"{', '.join(names)}: python.md, 'Methods, restraints and energies of your own'"
@@ -522,7 +506,7 @@ def refuse_class(value: Any, name: str) -> None:
         raise ProtochainError(f"{name} {value.__name__}: is a class; give an object, as {value.__name__}()")
 
 
-def _list_of_texts(value: Any, name: str) -> list[str]:
+def _texts(value: Any, name: str) -> list[str]:
     items = list(value) if isinstance(value, Iterable) else [value]
     strange = next((item for item in items if not isinstance(item, str)), None)
     if strange is not None or not isinstance(value, Iterable):

@@ -242,10 +242,8 @@ def _temporary() -> str:
         folder = Path(tempfile.gettempdir()) / f"protochain-{getattr(os, 'getuid', lambda: 'kernels')()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        is_private = not hasattr(os, "getuid") or (
-            status.st_uid == os.getuid() and not status.st_mode & 0o077
-        )
-        return str(folder) if stat.S_ISDIR(status.st_mode) and is_private else ""
+        private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
+        return str(folder) if stat.S_ISDIR(status.st_mode) and private else ""
     except OSError:
         return ""
 

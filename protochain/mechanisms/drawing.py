@@ -137,22 +137,16 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     model, bodies = run.model, run.model.bodies
     outlines = tuple(_default_shapes(model) if shapes is None else _check_shapes(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
-    origin = np.array([source.origin for source in frames])
-    rotation = np.array([source.rotation @ bodies.turn.swapaxes(1, 2) for source in frames])
+    origin = np.array([s.origin for s in frames])
+    rotation = np.array([s.rotation @ bodies.turn.swapaxes(1, 2) for s in frames])
     lines = _lines(model)
     finders = [part.finder for part in model.conservative if isinstance(part, ContactForces)]
     grounds = tuple(
-        Ground(
-            source.body, bodies.axes(source.body).T @ source.at, bodies.axes(source.body).T @ source.normal
-        )
-        for source in finders
-        if isinstance(source, OnPlane)
+        Ground(s.body, bodies.axes(s.body).T @ s.at, bodies.axes(s.body).T @ s.normal)
+        for s in finders
+        if isinstance(s, OnPlane)
     )
-    meshes = tuple(
-        Mesh(source.body, source.corners @ bodies.axes(source.body))
-        for source in finders
-        if isinstance(source, OnSurface)
-    )
+    meshes = tuple(Mesh(s.body, s.corners @ bodies.axes(s.body)) for s in finders if isinstance(s, OnSurface))
     times, corner = run.time[list(rows)], np.zeros(3)
     picture = Drawing(bodies.names, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
     reached = [origin.reshape(-1, 3)]
@@ -163,11 +157,7 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
             at = picture.place(k, b, points)
             reached += [at - reach, at + reach]
     fixed = lines.points[lines.ends < 0]
-    reached += [
-        picture.place(k, source.body, source.corners).reshape(-1, 3)
-        for source in meshes
-        for k in range(len(rows))
-    ]
+    reached += [picture.place(k, s.body, s.corners).reshape(-1, 3) for s in meshes for k in range(len(rows))]
     everything = np.concatenate([*reached, fixed.reshape(-1, 3)])
     return picture._replace(low=everything.min(axis=0), high=everything.max(axis=0))
 
@@ -233,9 +223,7 @@ def _joint_points(model: Assembly) -> list[list[Floats]]:
 
     def add(b: int, at: Floats) -> None:
         point = bodies.turn[b] @ at if b >= 0 else at
-        if b >= 0 and not any(
-            np.allclose(point, joint_point, atol=_NEAR * tree.size) for joint_point in joints[b]
-        ):
+        if b >= 0 and not any(np.allclose(point, p, atol=_NEAR * tree.size) for p in joints[b]):
             joints[b].append(point)
 
     for b in range(tree.n_bodies):

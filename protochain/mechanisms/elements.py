@@ -188,10 +188,7 @@ class Rows:
     @classmethod
     def concatenate(cls, parts: Iterable[Self]) -> Self:
         """All rows of several."""
-        columns = zip(
-            *([getattr(part, column_field.name) for column_field in fields(cls)] for part in parts),
-            strict=True,
-        )
+        columns = zip(*([getattr(part, f.name) for f in fields(cls)] for part in parts), strict=True)
         return cls(*(read_only(np.concatenate(column), column[0].dtype) for column in columns))
 
 
@@ -200,10 +197,7 @@ def join_rows(parts: Iterable[Any]) -> list[Any]:
     kinds: dict[Any, list[Any]] = {}
     for part in parts:
         kinds.setdefault(type(part) if isinstance(part, Rows) else id(part), []).append(part)
-    return [
-        parts_of_kind[0] if len(parts_of_kind) == 1 else parts_of_kind[0].concatenate(parts_of_kind)
-        for parts_of_kind in kinds.values()
-    ]
+    return [rows[0] if len(rows) == 1 else rows[0].concatenate(rows) for rows in kinds.values()]
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,10 +87,8 @@ class InOneKernel(Equations):
         tree = self.tree
         start, speed = floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
         # Copies may be written to, as in a march: the step is compiled once.
-        is_possible, *state, moved, quickened = _step(
-            h, tableau.arrays, self._arrays, start.copy(), speed.copy()
-        )
-        if not is_possible:
+        valid, *state, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
+        if not valid:
             return super().advance(tableau, at, h)
         return self._phase(state, at.time + h, at.work), moved, quickened
 
@@ -199,20 +197,20 @@ def _step(
     wrenches, loads, torques_damped, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
     slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
     damped, twists = np.zeros(n_v), np.empty((n, 6))
-    is_possible, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
+    valid, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
     # After the stages the step itself; after the step, as often as loops need, what closes them.
     for stage in range(s + 1 + ITERATIONS):
         i, inside = min(stage, s), stage < s
         if stage <= s:
             _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
         kinematics.outward_frames(links, bodies, q, rotation, origin)
-        is_possible, energy = _act(tree, acts, frames, q, wrenches, x)
+        valid, energy = _act(tree, acts, frames, q, wrenches, x)
         if inside and len(dampers[0]) + len(dampers[3]) > 0:
             work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, torques_damped)
             wrenches += loads
             x += torques_damped
-        if not (is_possible and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
-            is_possible = False
+        if not (valid and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
+            valid = False
             break
         if inside:
             articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
@@ -228,10 +226,10 @@ def _step(
             qd += torques_damped
             break
         else:
-            is_possible = stage < s + ITERATIONS
+            valid = stage < s + ITERATIONS
             kinematics.move_along(links, torques_damped, q)
     torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
-    if is_possible:
+    if valid:
         _act(tree, acts, frames, q, wrenches, x)
         kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
         torque += x
@@ -244,7 +242,7 @@ def _step(
             moved[k] += h * error_weights[j] * slopes[j, k]
             quickened[k] += h * error_weights[j] * rates[j, k]
     return (
-        is_possible, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work,
+        valid, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work,
         moved, quickened,
     )  # fmt: skip
 

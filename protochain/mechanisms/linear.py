@@ -191,7 +191,7 @@ def _about(
     system, tree, k = model.system, model.tree, near.ways.shape[1]
     still = np.zeros(tree.n_v)
 
-    def force_balance(move: Floats, rate: Floats, push: Floats = still) -> Floats:
+    def force(move: Floats, rate: Floats, push: Floats = still) -> Floats:
         q, qd, factors, _ = near.place(move, rate)
         _, torque, loads = system.forces(near.at.time, q, qd, factors)
         qdd = system.accelerations(near.at.time, q, qd, torque + push, loads, factors)[0]
@@ -202,15 +202,9 @@ def _about(
 
     # Linear in torques, so that any will do: such as move a hinge by one.
     units = np.eye(tree.n_v)[list(freedoms)]
-    pushed = [
-        0.5 * (force_balance(still, still, unit) - force_balance(still, still, -unit)) for unit in units
-    ]
-    rows = len(force_balance(still, still))
-    lower = [
-        near.slopes(force_balance, 0),
-        near.slopes(force_balance, 1),
-        np.reshape(pushed, (len(units), rows)).T,
-    ]
+    pushed = [0.5 * (force(still, still, unit) - force(still, still, -unit)) for unit in units]
+    rows = len(force(still, still))
+    lower = [near.slopes(force, 0), near.slopes(force, 1), np.reshape(pushed, (len(units), rows)).T]
     upper = np.hstack([near.turning, np.eye(k), np.zeros((k, len(units)))])
     return np.vstack([upper, np.hstack([part.reshape(rows, -1) for part in lower])]), k
 

@@ -74,8 +74,8 @@ class _Writing:
     def carriers(self, bodies: dict[str, Body]) -> set[str]:
         """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
         children = [hinge.parent for hinge in self.of.parts(Hinge)]
-        joined = (part_joined for part_joined in self.of.parts(Between) if not self.is_ball(part_joined))
-        ends = {end for part_joined in joined for end, _ in (part_joined.a, part_joined.b)}
+        joined = (part for part in self.of.parts(Between) if not self.is_ball(part))
+        ends = {end for part in joined for end, _ in (part.a, part.b)}
         carriers = {
             name
             for name, body in bodies.items()
@@ -86,11 +86,9 @@ class _Writing:
         for name in self.bodies.names:
             if name in bodies and name not in carriers:
                 chain = self.chain(name, carriers)
-                for part_joined in chain[:-1]:
-                    if part_joined.hinge.kind == "ball" and not np.allclose(
-                        part_joined.turn, chain[-1].turn, atol=_SAME
-                    ):
-                        carriers.discard(part_joined.hinge.child)
+                for part in chain[:-1]:
+                    if part.hinge.kind == "ball" and not np.allclose(part.turn, chain[-1].turn, atol=_SAME):
+                        carriers.discard(part.hinge.child)
         return carriers
 
     def is_ball(self, of: Between) -> bool:
@@ -196,11 +194,9 @@ class _Writing:
         ends = of.a, of.b
         built = np.linalg.norm(self.bodies.built.point(*of.a) - self.bodies.built.point(*of.b))
         rest_length = built if of.rest is None else of.rest
-        attributes = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest_length}
+        values = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest_length}
         line = SubElement(
-            self.group("tendon"),
-            "spatial",
-            {"name": of.name, **{key: _text(x) for key, x in attributes.items()}},
+            self.group("tendon"), "spatial", {"name": of.name, **{key: _text(x) for key, x in values.items()}}
         )
         for end, (body, at) in zip("ab", ends, strict=True):
             SubElement(line, "site", site=self.write_site(f"{of.name}: {end}", body, at, np.eye(3)))

@@ -178,16 +178,10 @@ class _Simulation:
     """A run as it comes: its rows, with a look at the energy now and then."""
 
     def __init__(
-        self,
-        model: Model,
-        start: Phase,
-        integrator: Integrator,
-        time_step: float,
-        stride: int,
-        balance: float,
+        self, model: Model, start: Phase, integrator: Integrator, time_step: float, steps: int, balance: float
     ) -> None:
         self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
-        self.stride, self.balance = stride, balance
+        self.stride, self.balance = steps, balance
         self.remedy = integrator.remedy
         self.rows: list[Row] = []
         self.kept: list[tuple[Any, ...]] = []
@@ -217,10 +211,8 @@ class _Simulation:
             except MechanicsError as error:
                 # Of what has diverged this says more.
                 self.look()
-                error_by_name = (
-                    error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
-                )
-                raise MechanicsError(f"{self.after}: {error_by_name}", fault=error.fault) from None
+                cause = error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
+                raise MechanicsError(f"{self.after}: {cause}", fault=error.fault) from None
             finally:
                 for memory in self.model.memories:
                     memory.end(end)

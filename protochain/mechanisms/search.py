@@ -123,8 +123,8 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
     for a in range(n):
         item = order[a]
         for row in range(5):
-            neighbour_cell, width = cell[a] + first[row], 3 if row else 2
-            place = neighbour_cell & (places - 1)
+            target, width = cell[a] + first[row], 3 if row else 2
+            place = target & (places - 1)
             # A row goes on at the beginning of the table where it passes the end.
             beyond = place + width - places
             b, end = start[place] if row else a + 1, start[min(place + width, places)]
@@ -132,19 +132,12 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
                 while count + end - b > room:
                     room *= 2
                     pairs = wider(pairs, room)
-                for candidate in range(b, end):
-                    dx, dy, dz = (
-                        x[a, 0] - x[candidate, 0],
-                        x[a, 1] - x[candidate, 1],
-                        x[a, 2] - x[candidate, 2],
-                    )
-                    reach, step = r[a] + r[candidate], cell[candidate] - neighbour_cell
+                for k in range(b, end):
+                    dx, dy, dz = (x[a, 0] - x[k, 0], x[a, 1] - x[k, 1], x[a, 2] - x[k, 2])
+                    reach, step = r[a] + r[k], cell[k] - target
                     # Written in any case and kept if near: a branch that cannot be foreseen costs more.
                     near = dx * dx + dy * dy + dz * dz <= reach * reach
-                    pairs[count, 0], pairs[count, 1] = (
-                        min(item, order[candidate]),
-                        max(item, order[candidate]),
-                    )
+                    pairs[count, 0], pairs[count, 1] = (min(item, order[k]), max(item, order[k]))
                     count += near & (step >= 0) & (step < width)
                 b, end = 0, start[max(beyond, 0)]
     return pairs[:count].copy()
@@ -225,11 +218,9 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     """
     n = len(low)
     low, high = floats(low, (n, 3), "low"), floats(high, (n, 3), "high")
-    is_invalid = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
-    if np.any(is_invalid):
-        raise MechanicsError(
-            f"box {int(np.argmax(is_invalid))}: its corners must be finite, the low one below"
-        )
+    mask = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
+    if np.any(mask):
+        raise MechanicsError(f"box {int(np.argmax(mask))}: its corners must be finite, the low one below")
     node_low, node_high, after, items, order = _halve(low, high)
     for array in (after, items, order):
         array.flags.writeable = False

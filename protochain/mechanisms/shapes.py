@@ -173,14 +173,12 @@ class Among:
             return
         pair = touching(start + 0.5 * move, radius + 0.5 * way)
         i, j = pair.T
-        is_other_body = (body[i] != body[j]) & ((self.first == 0) | ((i < self.first) & (j >= self.first)))
-        i, j = i[is_other_body], j[is_other_body]
-        separation, moved = start[i] - start[j], move[i] - move[j]
-        along = -np.sum(separation * moved, axis=1) / np.maximum(
-            np.sum(moved**2, axis=1), np.finfo(float).tiny
-        )
+        pairs = (body[i] != body[j]) & ((self.first == 0) | ((i < self.first) & (j >= self.first)))
+        i, j = i[pairs], j[pairs]
+        gap, moved = start[i] - start[j], move[i] - move[j]
+        along = -np.sum(gap * moved, axis=1) / np.maximum(np.sum(moved**2, axis=1), np.finfo(float).tiny)
         # At the ends of the way the depth is looked at as it is.
-        least = np.linalg.norm(separation + along[:, None] * moved, axis=1)
+        least = np.linalg.norm(gap + along[:, None] * moved, axis=1)
         _refuse_passage(
             self.name, i, (along > 0) & (along < 1) & (least < 0.5 * np.maximum(radius[i], radius[j]))
         )

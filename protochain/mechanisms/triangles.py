@@ -59,7 +59,7 @@ def least_distances(
     # touches an edge from outside, it touches it once.
     n = len(near)
     points, distance, inside = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_)
-    touching = np.empty(n, np.int64)
+    hits = np.empty(n, np.int64)
     count = 0
     for k in range(n):
         i = near[k, 0]
@@ -85,18 +85,10 @@ def least_distances(
                 rival += 1
             if hidden:
                 continue
-        touching[count] = k
+        hits[count] = k
         count += 1
-    pair, point, separation = np.empty((count, 2), np.int64), np.empty((count, 3)), np.empty(count)
+    pair, point, gap = np.empty((count, 2), np.int64), np.empty((count, 3)), np.empty(count)
     for k in range(count):
-        pair[k, 0], pair[k, 1], separation[k] = (
-            near[touching[k], 0],
-            near[touching[k], 1],
-            distance[touching[k]],
-        )
-        point[k, 0], point[k, 1], point[k, 2] = (
-            points[touching[k], 0],
-            points[touching[k], 1],
-            points[touching[k], 2],
-        )
-    return pair, point, separation
+        pair[k, 0], pair[k, 1], gap[k] = (near[hits[k], 0], near[hits[k], 1], distance[hits[k]])
+        point[k, 0], point[k, 1], point[k, 2] = (points[hits[k], 0], points[hits[k], 1], points[hits[k], 2])
+    return pair, point, gap

@@ -13,7 +13,7 @@ from protochain.core.errors import BodyError
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale
 from protochain.mechanics.multibody.kinematics import Frames
-from protochain.mechanics.multibody.massless import find_unresisted
+from protochain.mechanics.multibody.massless import find_slack
 from protochain.mechanics.multibody.small import cholesky, dense_inertia, solve_lower, solve_upper
 from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
 
@@ -54,9 +54,7 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
         gain[tree.driven] = 0.0
     if len(tree.massless):
         refuse_singular(
-            find_unresisted(
-                tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root
-            ),
+            find_slack(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root),
             frames.rotation,
         )
     return Articulated(tree, frames, freeze(packed), freeze(gain), freeze(pivot), freeze(root))

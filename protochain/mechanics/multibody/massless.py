@@ -12,21 +12,21 @@ _LEFT = 1e-12
 
 
 @kernel
-def find_unresisted(
+def find_slack(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, pivot: Floats,
     root: Floats,
 ) -> int:  # fmt: skip
     """Return the first body without mass whose pivot is rounding error, or -1."""
     # Its inertia is what the hinges outward of it leave of the bodies' there, so that its pivot is held
     # against that of the same bodies with these hinges locked: at a gimbal lock nothing but rounding is left.
-    total_inertia = np.zeros((len(bodies), 21))
+    total = np.zeros((len(bodies), 21))
     for b in range(len(bodies) - 1, -1, -1):
         p, n_v = links[b, PARENT], links[b + 1, V] - links[b, V]
         if bodies[b, MASS] > 0.0:
             for i in range(21):
-                total_inertia[b, i] = packed[b, i]
+                total[b, i] = packed[b, i]
         else:
-            axis, locked = algebra.hinge_axis(rotation, b), algebra.inertia(total_inertia, b)
+            axis, locked = algebra.hinge_axis(rotation, b), algebra.inertia(total, b)
             for j in range(n_v):
                 omega, u = algebra.freedom(axis, bodies[b, TURN], bodies[b, SLIDE], n_v, j)
                 moment, force = algebra.inertia_times(locked, omega, u)
@@ -35,7 +35,5 @@ def find_unresisted(
                     return b
         if p >= 0:
             arm = algebra.lever(origin, b, p)
-            algebra.add_inertia(
-                algebra.shifted_inertia(algebra.inertia(total_inertia, b), arm), total_inertia, p
-            )
+            algebra.add_inertia(algebra.shifted_inertia(algebra.inertia(total, b), arm), total, p)
     return -1

@@ -312,10 +312,8 @@ def _check_topology(tree: Tree) -> None:
     _refuse(late, "its parent {} must come before it", tree.parent)
     _refuse(~np.isin(tree.kind, list(HingeKind)), "{} is not a kind of hinge", tree.kind)
     free = tree.kind == HingeKind.FREE
-    is_wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
-    _refuse(
-        is_wrong, "only a root can be free, and then without a placement: its coordinates are the world's"
-    )
+    mask = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
+    _refuse(mask, "only a root can be free, and then without a placement: its coordinates are the world's")
     first = np.flatnonzero(tree.kind == HingeKind.BALL)
     axes = np.flatnonzero(tree.kind == HingeKind.BALL_AXIS)
     if not np.array_equal(axes, (first[:, None] + [1, 2]).ravel()) or not (

@@ -110,12 +110,10 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
 
 
 @kernel
-def _solve(
-    w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, n_iterations: int, backwards: bool
-) -> bool:
+def _solve(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, limit: int, backwards: bool) -> bool:
     """Overwrite x by a solution. Return False if none is found."""
     sweeps = 4
-    for rounds in range(n_iterations):
+    for rounds in range(limit):
         if _newton(w, u, mu, floor, x):
             return True
         _sweep(w, u, mu, floor, x, sweeps, backwards, 1.0 if rounds < 3 else 0.3)

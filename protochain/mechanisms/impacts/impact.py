@@ -194,9 +194,7 @@ def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:
 
 
 def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str) -> None:
-    if isinstance(points, ContactPoint) or not all(
-        isinstance(contact_point, ContactPoint) for contact_point in points
-    ):
+    if isinstance(points, ContactPoint) or not all(isinstance(p, ContactPoint) for p in points):
         raise MechanicsError("points: give a list of them, as [ContactPoint(...)]")
     if not (isinstance(law, str) and law in _LAWS):
         raise MechanicsError(f"law {law!r} is not known; choose newton, poisson or stronge")
