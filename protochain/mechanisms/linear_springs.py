@@ -69,13 +69,15 @@ class Spring(Between):
         ends, points = self.ends(bodies)
         places = [bodies.built.point(*end) for end in (self.a, self.b)]
         built = float(np.linalg.norm(places[1] - places[0]))
-        rest_ = built if self.rest is None else self.rest
-        if self.stiffness > 0.0 and built == 0.0 < rest_:
+        neutral = built if self.rest is None else self.rest
+        if self.stiffness > 0.0 and built == 0.0 < neutral:
             raise MechanicsError(
                 f"{self.label}: its ends meet as built, where its force has no direction; "
                 "give rest=0, or move one"
             )
-        row = Springs(np.array([self.name]), ends, points, read_only([(self.stiffness, rest_, self.damping)]))
+        row = Springs(
+            np.array([self.name]), ends, points, read_only([(self.stiffness, neutral, self.damping)])
+        )
         elastic, damping = row if self.stiffness else None, row if self.damping else None
         return Acting(elastic, damping=damping, inside=bool(np.all(ends >= 0)))
 

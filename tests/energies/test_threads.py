@@ -168,7 +168,7 @@ def test_processors_that_control_groups_allow(case, tmp_path):
 )
 def test_processors_are_those_this_process_may_use(bound, quota, expected, monkeypatch):
     monkeypatch.setattr(door.os, "sched_getaffinity", lambda _: set(range(bound)), raising=False)
-    monkeypatch.setattr(door, "allowed", lambda *_: quota)
+    monkeypatch.setattr(door, "n_allowed", lambda *_: quota)
     assert door.processors() == expected
 
 
