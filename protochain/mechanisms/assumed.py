@@ -16,7 +16,7 @@ def clamped_roots(k: int) -> Floats:
     )
 
 
-def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
+def clamp_shapes(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
     """Shapes of a clamped beam of unit length, of unit mean square, with two derivatives."""
     # x (n,) -> (n, k): Displacement, slope and curvature.
     b = clamped_roots(k)
@@ -77,7 +77,7 @@ def assumed_modes(
         (2, 1, -1.0, flap, of.stiffness("y")), (1, 2, 1.0, lag, of.stiffness("z"))
     ):  # fmt: skip
         columns = slice(start, start + count)
-        shape, slope, _ = clamped(x, count)
+        shape, slope, _ = clamp_shapes(x, count)
         moves[:, along, columns], turns[:, about, columns] = shape, sign * slope / of.length
         short[:, 0, columns, columns] = _shortening(x, count) / of.length
         stiff[columns, columns] = np.diag(stiffness / of.length**3 * clamped_roots(count) ** 4)
@@ -96,6 +96,6 @@ def _shortening(x: Floats, k: int) -> Floats:
     points, weights = np.polynomial.legendre.leggauss(8 + 3 * k)
     out = np.empty((len(x), k, k))
     for i, end in enumerate(x):
-        slope = clamped(0.5 * end * (1.0 + points), k)[1]
+        slope = clamp_shapes(0.5 * end * (1.0 + points), k)[1]
         out[i] = 0.5 * end * np.einsum("n,nk,nl->kl", weights, slope, slope)
     return out

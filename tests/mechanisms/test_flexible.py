@@ -11,7 +11,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.mechanics.multibody.rotations import tangent
-from protochain.mechanisms.assumed import assumed_modes, clamped, clamped_roots
+from protochain.mechanisms.assumed import assumed_modes, clamp_shapes, clamped_roots
 from protochain.mechanisms.flexible.algebra import tangent_rate
 from protochain.mechanisms.flexible.dynamics import (
     forward_dynamics,
@@ -170,18 +170,18 @@ def test_clamped_shapes():
     """Orthonormal, clamped and free at their ends; wave numbers as in the tables, however many."""
     assert clamped_roots(3) == pytest.approx([1.875104, 4.694091, 7.854757], abs=1e-6)
     points, weights = np.polynomial.legendre.leggauss(60)
-    shape, _, curvature = clamped(0.5 * (1 + points), 20)
+    shape, _, curvature = clamp_shapes(0.5 * (1 + points), 20)
     product = np.einsum("n,nk,nl->kl", 0.5 * weights, shape, shape)
     assert np.allclose(product, np.eye(20), atol=1e-9)
     bending = np.einsum("n,nk,nl->kl", 0.5 * weights, curvature, curvature)
     assert np.allclose(bending / np.outer(*[clamped_roots(20) ** 2] * 2), np.eye(20), atol=1e-9)
-    ends = clamped(np.array([0.0, 1.0]), 20)
+    ends = clamp_shapes(np.array([0.0, 1.0]), 20)
     assert np.allclose(ends[0][0], 0.0, atol=1e-13) and np.allclose(ends[1][0], 0.0, atol=1e-11)
     assert np.allclose(ends[2][1] / clamped_roots(20) ** 2, 0.0, atol=1e-12)
     h = 1e-6
-    near = [clamped(np.array([0.4 + sign * h]), 5) for sign in (1, -1)]
+    near = [clamp_shapes(np.array([0.4 + sign * h]), 5) for sign in (1, -1)]
     for k in (0, 1):
-        exact = clamped(np.array([0.4]), 5)[k + 1]
+        exact = clamp_shapes(np.array([0.4]), 5)[k + 1]
         assert np.allclose((near[0][k] - near[1][k]) / (2 * h), exact, rtol=1e-7, atol=1e-6)
 
 
