@@ -42,7 +42,7 @@ class Ellipsoid(Protocol):
     def product(self, step: Floats) -> Floats:
         """Q d for a step (n_v,)."""
 
-    def shifted(self, multiplier: float) -> Solve:
+    def shifted_solver(self, multiplier: float) -> Solve:
         """Solver for I + multiplier Q."""
 
 
@@ -56,7 +56,7 @@ class MeanTurn:
         """Q d for a step (n_v,)."""
         return step / self.n_v
 
-    def shifted(self, multiplier: float) -> Solve:
+    def shifted_solver(self, multiplier: float) -> Solve:
         """Solver for I + multiplier Q."""
         return lambda step: step / (1.0 + multiplier / self.n_v)
 
@@ -88,7 +88,7 @@ class MeanMovement:
         loads = inertial_loads(self.tree, frames, np.zeros(len(step)), self.scale * step)
         return np.asarray(self.scale * pull_back(self.tree, frames, loads))
 
-    def shifted(self, multiplier: float) -> Solve:
+    def shifted_solver(self, multiplier: float) -> Solve:
         """Solver for I + multiplier Q."""
         bodies = self.tree.bodies.copy()
         bodies[:, ARMATURE] = 1.0 / multiplier
@@ -177,7 +177,7 @@ def nearest_within(step: Floats, ellipsoid: Ellipsoid, bound: float) -> tuple[Fl
     multiplier = (length / bound - 1.0) * length**2 / float(product @ product)
     nearest = step
     for _ in range(MOST_ITERATIONS):
-        solve = ellipsoid.shifted(multiplier)
+        solve = ellipsoid.shifted_solver(multiplier)
         nearest = solve(step)
         product = ellipsoid.product(nearest)
         length = math.sqrt(float(nearest @ product))

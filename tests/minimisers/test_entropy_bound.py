@@ -93,7 +93,7 @@ def test_five_iterations_suffice_for_any_spectrum():
         def product(self, step):
             return self.values * step
 
-        def shifted(self, multiplier):
+        def shifted_solver(self, multiplier):
             self.solutions += 1
             return lambda step: step / (1.0 + multiplier * self.values)
 
