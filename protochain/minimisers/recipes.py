@@ -13,7 +13,7 @@ from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
 from protochain.core import defaults
 from protochain.core.arrays import Floats
-from protochain.core.checks import number, refuse_class
+from protochain.core.checks import checked, number, one_of, refuse_class
 from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
@@ -27,6 +27,7 @@ from protochain.minimisers.clash_resolution import (
 )
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
+from protochain.minimisers.entropy_bound import METRIC_NAMES, EntropyBound, MetricName, TurnBound
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, Proportional, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
@@ -258,6 +259,8 @@ def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
 
 ANGLE = 0.0005
 """rad. Turn of the hinge of largest torque in a step of ``kcm``, and in the first of its adaptive kin."""
+ENTROPY_RATE = 0.5
+"""nm/rad. Bound of ``kcm-entropy``. At a start, C-alphas move by 2 to 3 nm per radian (RMS) in ``kcm``."""
 
 _TABLE = (
     _in_torsions("kcm", Descent(KCM(), Fixed(ANGLE))),
@@ -270,6 +273,7 @@ _TABLE = (
     _in_torsions("kcm-transient", PseudoTransient()),
     _in_torsions("kcm-metric", Descent(KCM(Mass()), AcceptReject(ANGLE))),
     _in_torsions("kcm-stiffness", Descent(KCM(Stiffness()), AcceptReject(ANGLE))),
+    _in_torsions("kcm-entropy", Descent(EntropyBound(rate=ENTROPY_RATE), Fixed(ANGLE))),
     _in_torsions("fire", Fire()),
     _in_torsions("quench", Fire(mixing=1.0, fade=1.0)),
     _dynamics("md", Annealing(), draws_random=False),
@@ -290,32 +294,68 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 METHODS = tuple(RECIPES)
 
 
-def kcm(angle: float = ANGLE) -> Recipe:
-    """KCM with a fixed angle of one's choice, for ``method=``: ``pc.minimise(s, method=pc.kcm(angle=0.01))``.
+@checked(metric=one_of(METRIC_NAMES))
+def kcm(
+    angle: float = ANGLE,
+    entropy_bound: float | None = None,
+    metric: MetricName = "positions",
+    turn_bound: float | None = None,
+) -> Recipe:
+    """KCM with a fixed angle, and optionally a bound on each step, for ``method=`` of other functions.
 
     Parameters
     ----------
     angle : float, rad
         Turn of the hinge of largest torque, in every step.
+    entropy_bound : float, optional
+        Largest step in the metric. A longer step is replaced by the nearest one within the bound.
+    metric : str
+        Measure of a step: ``positions`` (RMS movement of the C-alphas, nm), ``contacts`` (the same, weighted
+        by the contacts of each C-alpha), ``mass`` (RMS movement of all atoms, weighted by mass, nm) or
+        ``turns`` (RMS turn, rad).
+    turn_bound : float, optional, rad
+        Largest turn of any hinge in a step. Larger turns are cut.
 
     Returns
     -------
     Recipe
-        Called ``kcm-`` and the angle, so that a comparison can hold several.
+        Its name has the settings, so that one comparison can have several.
 
     Raises
     ------
     ProtochainError
-        If the angle is no number above 0.
+        If an angle or a bound is not above 0, or both bounds are set.
 
     Examples
     --------
     >>> c = pc.build_chain(pc.from_sequence("GAG"))
-    >>> r = pc.minimise(c, method=pc.kcm(angle=0.01), max_evaluations=20)
+    >>> r = pc.minimise(c, method=pc.kcm(angle=0.01, entropy_bound=0.001), max_evaluations=20)
     >>> r.end.energy < r.start.energy
     True
     """
-    return at_angle(RECIPES["kcm"], angle)
+    recipe = at_angle(RECIPES["kcm"], angle)
+    if entropy_bound is None and turn_bound is None:
+        return recipe
+    if entropy_bound is not None and turn_bound is not None:
+        raise ProtochainError("entropy_bound and turn_bound cannot be combined; set one of them")
+    # A direction is a step for an angle of 1 rad.
+    if entropy_bound is not None:
+        rate = _above_zero(entropy_bound, "entropy_bound") / angle
+        direction: KCM = EntropyBound(rate=rate, within=metric)
+        label = f"entropy-{metric}-{entropy_bound:g}"
+    else:
+        direction = TurnBound(limit=_above_zero(turn_bound, "turn_bound") / angle)
+        label = f"turns-{turn_bound:g}"
+    (run,) = recipe.runs
+    bounded = replace(run, method=Descent(direction, Fixed(float(angle))))
+    return replace(recipe, name=f"{recipe.name}-{label}", runs=(bounded,))
+
+
+def _above_zero(value: Any, name: str) -> float:
+    """Return a number, or raise a ProtochainError if it is not above 0."""
+    if not number(value, name) > 0.0:
+        raise refused(name, f"{value:g}", "give a number above 0")
+    return float(value)
 
 
 def at_angle(recipe: Recipe, angle: float) -> Recipe:

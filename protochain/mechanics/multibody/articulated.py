@@ -89,8 +89,16 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
     """Solve M x = tau for one tau: :func:`articulate` and :func:`solve` in one call: tau (n_v,) -> (n_v,)."""
     if not tree.is_plain:
         return solve(articulate(tree, frames), tau)
+    return solve_for_bodies(tree, tree.bodies, frames, tau)
+
+
+def solve_for_bodies(tree: Tree, bodies: Floats, frames: Frames, tau: Floats) -> Floats:
+    """Solve M x = tau for another table of bodies, in the form of ``tree.bodies``: tau (n_v,) -> (n_v,).
+
+    Masses and armatures may differ from those of the tree, which has no driven hinges. O(n).
+    """
     x = floats(tau, (tree.n_v,), "tau").copy()
-    refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x), frames.rotation)
+    refuse_singular(_solve(tree.links, bodies, frames.rotation, frames.origin, x), frames.rotation)
     return x
 
 
