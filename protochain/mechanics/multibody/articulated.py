@@ -95,7 +95,7 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
 def solve_for_bodies(tree: Tree, bodies: Floats, frames: Frames, tau: Floats) -> Floats:
     """Solve M x = tau for another table of bodies, in the form of ``tree.bodies``: tau (n_v,) -> (n_v,).
 
-    Masses and armatures may differ from those of the tree, which has no driven hinges. O(n).
+    Masses and armatures may differ from the tree's, which has no driven hinges. O(n).
     """
     x = floats(tau, (tree.n_v,), "tau").copy()
     refuse_singular(_solve(tree.links, bodies, frames.rotation, frames.origin, x), frames.rotation)
