@@ -17,7 +17,7 @@ from protochain.validation.violations import Violations
 
 
 @dataclass(frozen=True, eq=False)
-class Wrong:
+class Problems:
     """Problems at positions x (na, 3), nm. Each is computed on first access."""
 
     structure: Structure
