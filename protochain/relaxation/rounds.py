@@ -83,7 +83,7 @@ class Round:
 class Ended:
     """Where a round ended."""
 
-    wrong: Problems  # What is wrong there.
+    wrong: Problems  # At these positions.
     stop: Stop
     springs: Tethers  # Those of its last stage.
     # (n,) int: Residues with violations, overlaps, threaded rings, inverted centres, twisted peptide bonds.
