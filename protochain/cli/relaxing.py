@@ -37,7 +37,7 @@ _SHOW_FROM = 5.0
 @part("measuring")
 def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
-    from protochain.relaxation.wrong import Wrong
+    from protochain.relaxation.problems import Problems
 
     print_changes(source, structure)
     x = structure.positions
@@ -45,7 +45,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     began = monotonic()
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
-    at = Wrong(structure, x)
+    at = Problems(structure, x)
     n, beside = len(at.overlaps), at.n_beside
     inverted = counted(len(at.inverted), "inverted stereocentre")
     as_d = structure.mirrored[structure.atom_residue[at.inverted]].all()

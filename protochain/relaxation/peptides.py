@@ -61,7 +61,7 @@ class PeptideBonds:
         return self.atoms[self.away(x) > PLANAR, 2]
 
     def reversed(self, x: Floats) -> Integers:
-        """(n,) int: nitrogens of those of them that are nearer to the other form: a barrier is between."""
+        """(n,) int: nitrogens of the twisted bonds that are nearer to the other form, beyond a barrier."""
         return self.atoms[self.away(x) > PERPENDICULAR, 2]
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:

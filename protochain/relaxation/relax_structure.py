@@ -30,10 +30,10 @@ from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, rejected, verdict
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
+from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_settings import RelaxSettings, named, split
 from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
-from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
 from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
@@ -243,24 +243,24 @@ def _verdict(
     )  # fmt: skip
 
 
-def _spoiled(at: Wrong) -> list[str]:
+def _spoiled(at: Problems) -> list[str]:
     """Stereocentres that were right and are inverted now; that others became right is as it should be."""
     s = at.structure
     return atoms_named(s, np.setdiff1d(at.inverted, ChiralityRestraint.of(s).wrong(s.positions)))
 
 
-def _lost(at: Wrong) -> Integers:
+def _lost(at: Problems) -> Integers:
     """Nitrogens of peptide bonds that had the form that they should have, and have the other."""
     s = at.structure
     return np.setdiff1d(at.reversed, PeptideBonds.of(s).wrong(s.positions))
 
 
-def _bonds_before(at: Wrong, nitrogens: Integers) -> list[str]:
+def _bonds_before(at: Problems, nitrogens: Integers) -> list[str]:
     s = at.structure
     return bonds_named(s, at.x, s.positions, s.atom_residue[nitrogens])
 
 
-def left_in_words(at: Wrong) -> list[str]:
+def left_in_words(at: Problems) -> list[str]:
     """What is left to mend, by name."""
     others = rejected(at.structure, at.x)
     others += [listed([*map(str, at.rings)], 2)] if at.rings else []

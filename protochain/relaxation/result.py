@@ -19,10 +19,10 @@ from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import RunEnds
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.peptides import PeptideBonds
+from protochain.relaxation.problems import Problems
 from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.rounds import Round
-from protochain.relaxation.wrong import Wrong
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
@@ -118,14 +118,14 @@ class Relaxation(RunEnds):
         return replace(self.start, positions=self.x, repairs=noted)
 
     @cached_property
-    def wrong_start(self) -> Wrong:
+    def wrong_start(self) -> Problems:
         """What is to be mended at the start."""
-        return Wrong(self.start, self.start.positions)
+        return Problems(self.start, self.start.positions)
 
     @cached_property
-    def wrong_end(self) -> Wrong:
+    def wrong_end(self) -> Problems:
         """What is left of it at the end."""
-        return Wrong(self.start, self.x)
+        return Problems(self.start, self.x)
 
     @cached_property
     def stereocentres_corrected(self) -> tuple[Repair, ...]:

@@ -28,7 +28,7 @@ from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
-from protochain.relaxation.wrong import Wrong
+from protochain.relaxation.problems import Problems
 from protochain.structure import Structure
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
@@ -83,7 +83,7 @@ class Round:
 class Ended:
     """Where a round ended."""
 
-    wrong: Wrong  # What is wrong there.
+    wrong: Problems  # At these positions.
     stop: Stop
     springs: Tethers  # Those of its last stage.
     # (n,) int: Residues with violations, overlaps, threaded rings, inverted centres, twisted peptide bonds.
@@ -112,7 +112,7 @@ class Relaxer:
         """Minimise from x (na, 3) nm, and with fewer springs while violations or overlaps are left."""
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
-        at = Wrong(self.structure, x)
+        at = Problems(self.structure, x)
         turning = self.structure.atom_residue[[*at.inverted, *at.reversed]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
@@ -155,7 +155,7 @@ class Relaxer:
             walked = self._walked(plan, x, before + freed)
         else:
             walked = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
-        wrong = Wrong(structure, read_only(walked.x))
+        wrong = Problems(structure, read_only(walked.x))
         concerned = wrong.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         noted = Round(

@@ -13,9 +13,9 @@ from protochain.minimisers.restraints import Tethers
 from protochain.minimisers.verdict import verdict
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
+from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_structure import _lost, left_in_words
 from protochain.relaxation.rounds import Relaxer
-from protochain.relaxation.wrong import Wrong
 from protochain.validation.layout import dihedrals
 from protochain.validation.omega import isomerised_bonds, omegas, twisted_bonds
 
@@ -127,9 +127,9 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     r = pc.relax(bent, threads=1, protocol="alphafold", max_iterations=1)
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
-    other = Wrong(s, bent.positions)
+    other = Problems(s, bent.positions)
     assert left_in_words(other) == []  # -75: it went to the other side, and is lost.
-    half = Wrong(s, with_omega(s, 12, 120.0).positions)
+    half = Problems(s, with_omega(s, 12, 120.0).positions)
     assert left_in_words(half)[0].startswith("twisted peptide bonds: " + name)
     assert _lost(half).tolist() == [] and _lost(other).tolist() == [bond_before(s, 12)[2]]
 

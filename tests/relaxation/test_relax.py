@@ -19,12 +19,12 @@ from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.clash_resolution import unthreading
 from protochain.minimisers.loop import Stop
-from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, rounds, wrong
+from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, problems, rounds
 from protochain.relaxation.names import relaxed_name
 from protochain.relaxation.peptides import PeptideBonds
+from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_structure import _spoiled, relax_structure
 from protochain.relaxation.rounds import Relaxer
-from protochain.relaxation.wrong import Wrong
 from protochain.structure.molecule.chirality import wrong_atoms
 from protochain.structure.molecule.residues import VAN_DER_WAALS
 from protochain.validation import violations
@@ -115,7 +115,7 @@ def test_residues_in_trouble_and_their_neighbours_are_released_in_turn(monkeypat
     """The disulfide 16-26 of crambin joins what is far in sequence; springs lead to the input always."""
     s = load("1ejg.pdb")
     found = replace(violations(s), per_residue=np.arange(s.n_residues) == 15)
-    monkeypatch.setattr(wrong, "violations", lambda *_: found)
+    monkeypatch.setattr(problems, "violations", lambda *_: found)
     relaxer = Relaxer(s, pc.energy(s, solvent="vacuum", threads=1), PRESETS["predicted"], 2, lambda *_: None)
     excluded = np.arange(s.n_residues) == 40
     done = relaxer.rounds(s.positions, excluded, 5)
@@ -144,7 +144,7 @@ def test_the_round_with_the_fewest_left_is_the_result(monkeypatch):
     def found(*_):
         return replace(violations(s), per_residue=np.arange(s.n_residues) < next(left))
 
-    monkeypatch.setattr(wrong, "violations", found)
+    monkeypatch.setattr(problems, "violations", found)
     result = relax_structure(s, energy("1l2y.pdb"), RelaxSettings(max_iterations=1))
     assert len(result.rounds) == 3 and result.best == 1
     assert [each.violations for each in result.rounds] == [3, 1, 2]
@@ -299,7 +299,7 @@ def test_a_signal_between_two_rounds_keeps_the_first(monkeypatch):
         signal.raise_signal(signal.SIGINT)
         return found
 
-    monkeypatch.setattr(wrong, "violations", interrupted)
+    monkeypatch.setattr(problems, "violations", interrupted)
     r = relax_structure(s, energy("1l2y.pdb"), RelaxSettings())
     first, second = r.rounds
     assert first.evaluations > 1 and second.evaluations == r.best == 0 and r.energy_end < r.energy_start
@@ -331,7 +331,7 @@ def test_only_hands_that_became_wrong_are_inverted():
     assert len(left) < len(wrong) and (r.status is pc.Status.INVERTED) == bool(set(left) - set(wrong))
     right = load("1l2y.pdb")
     mirror = right.positions * [1.0, 1.0, -1.0]
-    spoiled = _spoiled(Wrong(right, mirror))
+    spoiled = _spoiled(Problems(right, mirror))
     assert len(spoiled) >= 16 and spoiled[0] == "CA of residue 1 ASN of chain A"
 
 

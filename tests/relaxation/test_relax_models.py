@@ -14,8 +14,8 @@ from protochain.minimisers.loop import Stop
 from protochain.minimisers.stages import Outcome
 from protochain.relaxation import rounds
 from protochain.relaxation.presets import PRESETS
+from protochain.relaxation.problems import Problems
 from protochain.relaxation.rounds import Relaxer
-from protochain.relaxation.wrong import Wrong
 from protochain.validation import measures, threaded_rings, violations
 
 
@@ -115,9 +115,9 @@ def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_report
     assert r.start.n_chains == 2 and len(r.rounds) == 1 and r.rounds[0].violations == 2
     assert r.status == "converged" and r.measures_end["violations"] == 2
     assert "2 residues with violations at breaks of the chain" in r.message
-    found = Wrong(r.start, r.x)
+    found = Problems(r.start, r.x)
     assert found.violations.per_residue.sum() == 2 and not found.mendable().any()
-    whole = Wrong(s, torn.positions)
+    whole = Problems(s, torn.positions)
     per_residue = whole.violations.per_residue
     assert np.array_equal(whole.mendable(), per_residue) and per_residue.sum() >= 2
 

@@ -1,4 +1,4 @@
-"""What is wrong with a structure while it is relaxed, found once at each set of positions."""
+"""Problems of a structure during its relaxation, computed once per set of positions."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,8 +17,8 @@ from protochain.validation.violations import Violations
 
 
 @dataclass(frozen=True, eq=False)
-class Wrong:
-    """What is wrong at positions x (na, 3), nm; each is found when it is asked for first."""
+class Problems:
+    """Problems at positions x (na, 3), nm. Each is computed on first access."""
 
     structure: Structure
     x: Floats
@@ -30,7 +30,7 @@ class Wrong:
 
     @property
     def n_beside(self) -> int:
-        """Pairs of an atom of the protein and one of a molecule kept with it, among those that overlap."""
+        """Number of overlapping pairs of an atom of the protein and an atom of a hetero molecule."""
         kept = self.structure.kept[self.overlaps]
         return int((kept[:, 0] != kept[:, 1]).sum())
 
@@ -51,7 +51,7 @@ class Wrong:
 
     @cached_property
     def reversed(self) -> Integers:
-        """(n,) int: nitrogens of those of them that are nearer to the other form."""
+        """(n,) int: nitrogens of the twisted peptide bonds that are nearer to the other form."""
         return PeptideBonds.of(self.structure).reversed(self.x)
 
     @cached_property
@@ -64,21 +64,21 @@ class Wrong:
         return [int(self.structure.atom_residue[i]) for ring in self.rings for i in (*ring.atoms, *ring.bond)]
 
     def mendable(self) -> NDArray[np.bool_]:
-        """(nr,) bool: residues with violations but those of a bond that a broken chain does not have."""
-        structure, found = self.structure, self.violations
+        """(nr,) bool: residues with violations, except violations of absent bonds at chain breaks only."""
+        structure, outliers = self.structure, self.violations
         n, of = structure.n_atoms, structure.atom_residue
         bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
         at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
-        joints = (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1))
+        joints = (outliers.bonds, (0, 1)), (outliers.angles_ca_c_n, (1, 2)), (outliers.angles_c_n_ca, (0, 1))
         for atoms, ends in joints:
             is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
             at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
-        for atoms in (found.clashes, found.within, found.covalent):
+        for atoms in (outliers.clashes, outliers.within, outliers.covalent):
             elsewhere[of[atoms]] = True
-        return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
+        return np.asarray(outliers.per_residue & ~(at_breaks & ~elsewhere))
 
     def residues(self, planar: bool) -> NDArray[np.bool_]:
-        """(nr,) bool: residues with anything to mend, twisted bonds where they are to be ``planar``."""
+        """(nr,) bool: residues with problems to mend, with twisted peptide bonds if ``planar``."""
         wrong, of = self.mendable(), self.structure.atom_residue
         wrong[self.of_rings()] = True
         for atoms in (self.overlaps, self.inverted, *([self.peptides] if planar else [])):
