@@ -40,8 +40,8 @@ TOLERANCE = 1.0
 """kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force: if hinges turn, and if minima are
 compared (:func:`protochain.compare`, many starts)."""
 TOLERANCE_IN_ALL_ATOMS = 5.0
-"""kJ/mol/nm, of a minimisation by itself: near the start, and 0.8 kJ/mol per residue above the minimum (0.1
-to 2.5 in 12 proteins, and 0.8 to 7.7 at 10). OpenMM's default, 10 of the RMS length of the atoms' forces, is
+"""kJ/mol/nm, of a minimisation by itself: near the start, and 1.0 kJ/mol per residue above the minimum (0.5
+to 1.6 in 12 proteins, and 0.9 to 4.0 at 10). OpenMM's default, 10 of the RMS length of the atoms' forces, is
 5.8 of their components. The curve is in analysis/docs/measured/minimisers.md."""
 MAX_EVALUATIONS = 5000
 SEED = 0

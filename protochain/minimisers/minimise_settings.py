@@ -35,7 +35,7 @@ class MinimiseSettings(Settings):
         float,
         doc="Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force "
         "(kJ/mol/nm), as recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 "
-        "kJ/mol/nm, which leaves a structure nearer to its start than 1 does, 0.1 to 2.5 kJ/mol per residue "
+        "kJ/mol/nm, which leaves a structure nearer to its start than 1 does, 0.5 to 1.6 kJ/mol per residue "
         "above its minimum.",
     )
     max_evaluations: int = setting(
