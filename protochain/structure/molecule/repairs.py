@@ -474,7 +474,7 @@ def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
             f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"
         )
-    places = [f"{each.place} {each.name}" for each in (repair.facts["residue"] for repair in alike)]
+    places = [str(repair.facts["residue"]) for repair in alike]
     return f"{what} in {len(places)} residues: {listed(places, _SHOWN)}"
 
 
