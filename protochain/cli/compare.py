@@ -11,6 +11,7 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import options
+from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.core import defaults
 from protochain.core.checks import at_least, words
@@ -25,6 +26,7 @@ _NOT_COMPARED = "tolerance restraint max_rmsd"
 """Settings of a minimisation that a comparison does not have, or has a default of its own for."""
 
 
+@with_detail
 @options.with_settings(minimising=_NOT_COMPARED, setup="move rigid_protein")
 def compare(
     context: typer.Context,
@@ -90,7 +92,7 @@ def compare(
     else:
         print_table(summary["results"])
         options.print_lost(summary["results"])
-        print(f"written: {page} with tables, plots and structures in its folder")
+        tell(Kind.WRITTEN, f"written: {page} with tables, plots and structures in its folder")
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(options.fail(f"{source}: no method gave a usable structure; {page} says why"))
     statuses = [str(solution.status) for solution in comparison.solutions]

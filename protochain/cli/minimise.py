@@ -12,6 +12,7 @@ import typer
 
 from protochain.chains.setup import ALL_MODELS, Setup, models_asked
 from protochain.cli import options, terminal
+from protochain.cli.lines import with_detail
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
@@ -40,6 +41,7 @@ Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame f
 OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
 
 
+@with_detail
 @options.with_settings()
 def minimise(
     context: typer.Context,

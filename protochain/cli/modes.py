@@ -104,7 +104,7 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", 
     relaxed, stated = minimised_first(chain, energy, _RELAXED)
     if not relaxed.is_usable:
         raise ProtochainError(f"{source}: {relaxed.message}")
-    print(f"{source}: {stated}", file=sys.stderr)
+    print(stated, file=sys.stderr)
     return relaxed.q, stated
 
 

@@ -9,6 +9,7 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import options
+from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.relax import Resume, Workers
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
@@ -37,6 +38,7 @@ _OWN = "preset tolerance interface"
 _OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _OWN.split())
 
 
+@with_detail
 @options.with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_OWN.replace(' interface', '')}")
 def mutate(
     context: typer.Context,
@@ -109,14 +111,17 @@ def _print(done: "Mutation") -> None:
     """Print the energies of a mutant, and what they mean."""
     ddg, bound = done.ddg, done.interface_change
     parts = f"{done.change:.1f} kJ/mol, in GGXGG {'-' if done.unfolded is None else f'{done.unfolded:.1f}'}"
-    stated = [
+    tell(
+        Kind.VERDICT,
         f"change of stability (ddg): {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
         *([] if bound is None else [f"change of the energy of binding: {bound:+.1f} kJ/mol"]),
+    )
+    tell(
+        Kind.RESULT,
         f"wild type: {done.wild.message}",
         f"mutant: {done.mutant.message}",
         _MEANING,
-    ]
-    print("\n".join(stated))
+    )
 
 
 def _scan(
@@ -155,7 +160,7 @@ def _scan(
     elif rows:
         shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
         print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
-        print(_MEANING)
+        tell(Kind.RESULT, _MEANING)
         options.print_files(table, report)
     if interrupted:
         return options.fail("interrupted; --resume does the rest", options.INTERRUPTED)

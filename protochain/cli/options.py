@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
+from protochain.cli.lines import Kind, is_verbose, tell, warn
 from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
@@ -195,8 +196,7 @@ def print_json(record: Mapping[str, Any]) -> None:
 
 def print_files(*paths: str | Path | None) -> None:
     """Name the files that were written, a line each; None stands for one that was not asked for."""
-    for path in filter(None, paths):
-        print(f"written: {path}")
+    tell(Kind.WRITTEN, *(f"written: {path}" for path in filter(None, paths)))
 
 
 def named_after(source: Path) -> tuple[str, str]:
@@ -212,14 +212,12 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
-    print_changes(source, structure)
-    for line in said_of_move(structure, setup.move, chain):
-        print(f"{source}: {line}", file=sys.stderr)
     found = overlaps(structure, structure.positions, chain)
-    for overlap in found[:_SHOWN_OVERLAPS]:
-        print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
-    if len(found) > _SHOWN_OVERLAPS:
-        print(f"{source}: and {counted(len(found) - _SHOWN_OVERLAPS, 'more overlap')}", file=sys.stderr)
+    shown = found[:_SHOWN_OVERLAPS] if is_verbose() else found
+    warnings = [f"{overlap}; {overlap.remedy}" for overlap in shown]
+    if len(found) > len(shown):
+        warnings.append(f"and {counted(len(found) - len(shown), 'more overlap')}")
+    print_changes(source, structure, said_of_move(structure, setup.move, chain), warnings)
     return chain, energy, perf_counter() - began
 
 
@@ -244,15 +242,24 @@ def _counted(structure: "Structure", atoms: Any) -> str:
     return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
 
 
-def print_changes(source: Path, structure: "Structure") -> None:
-    """Say on standard error what was changed to prepare a file, losses first."""
-    from protochain.structure.molecule.repairs import summarised
+def print_changes(
+    source: Path, structure: "Structure", read: Sequence[str] = (), warnings: Sequence[str] = ()
+) -> None:
+    """Print on standard error what was read and changed to prepare a file, losses first, and warnings."""
+    from protochain.structure.molecule.repairs import counts_of_changes, needs_action, summarised
 
-    changes = summarised(structure.repairs, as_option)
-    for line in changes:
-        print(f"{source}: {line}", file=sys.stderr)
-    if len(changes) < len(structure.repairs):
-        print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
+    repairs = structure.repairs
+    sizes = counted(structure.n_protein_residues, "residue"), counted(structure.n_atoms, "atom")
+    tell(Kind.READ, "; ".join([f"{source}: {', '.join(sizes)}", *read]))
+    listed = f"protochain info lists all {counted(len(repairs), 'change')}"
+    if is_verbose():
+        changes = summarised(repairs, as_option)
+        tell(Kind.CHANGE, *changes, *([listed] if len(changes) < len(repairs) else []))
+        warn(warnings)
+    else:
+        if repairs:
+            tell(Kind.READ, "; ".join(filter(None, [counts_of_changes(repairs), listed])))
+        warn([*summarised(filter(needs_action, repairs), as_option), *warnings])
 
 
 VIOLATIONS_SHOWN = 5
@@ -266,19 +273,18 @@ def print_violations(record: "Mapping[str, Any]") -> None:
     violated = record.get("restraint_violations") or []
     if not violated:
         return
-    print(f"{counted(len(violated), 'restraint')} violated by more than 0.5 angstrom or 10 degrees:")
-    for value in violated[:VIOLATIONS_SHOWN]:
-        print(f"  {RestraintValue(**value)}")
+    number = counted(len(violated), "restraint")
+    tell(Kind.RESULT, f"{number} violated by more than 0.5 angstrom or 10 degrees:")
+    tell(Kind.RESULT, *(f"  {RestraintValue(**value)}" for value in violated[:VIOLATIONS_SHOWN]))
     if len(violated) > VIOLATIONS_SHOWN:
-        print(f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --json lists")
+        tell(Kind.RESULT, f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --json lists")
 
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print what the structures of records, or of rows of a table, lost."""
     from protochain.structure.preparation.losses import loss_lines
 
-    for line in loss_lines(rows, as_option):
-        print(line)
+    tell(Kind.RESULT, *loss_lines(rows, as_option))
 
 
 RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
@@ -363,7 +369,7 @@ def check_outputs(
         check_writable(output)
     if there := [str(output) for output in outputs if replaces and output.is_file()]:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        print(f"{there[0]}{more}: there already, will be replaced", file=sys.stderr)
+        tell(Kind.CHANGE, f"{there[0]}{more}: there already, will be replaced")
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
@@ -406,8 +412,7 @@ def check_structure(structure: "Structure", output: Path, ligands: Path | None) 
 
     if ligands:
         check_ligands(structure)
-    for line in check_fits(structure, output):
-        print(line, file=sys.stderr)
+    tell(Kind.WARNING, *check_fits(structure, output))
 
 
 @part("writing")
@@ -438,8 +443,7 @@ def written(
             write_report(result, record, report)
             record["report"] = str(report)
         copied = copy_confidences(Path(record["input"]), Path(record["output"]))
-        for line in copied.left:
-            print(line, file=sys.stderr)
+        tell(Kind.WARNING, *copied.left)
         record["confidences"] = [str(path) for path in copied.written]
         if ligands:
             setup.save_ligands(result, ligands)

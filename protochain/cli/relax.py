@@ -14,6 +14,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli import options
 from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.lines import with_detail
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -47,6 +48,7 @@ Resume = Annotated[
 ]
 
 
+@with_detail
 @options.with_settings(setup="hinges terms")
 def relax(
     context: typer.Context,

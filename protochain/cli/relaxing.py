@@ -1,6 +1,5 @@
 """What ``protochain relax`` says: first what it will do, then what became better."""
 
-import sys
 import textwrap
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from protochain.cli.lines import Kind, energy_text, is_verbose, residues_shown, table_of_two, tell
 from protochain.cli.options import print_changes, print_files, print_lost, print_violations, said_of_move
 from protochain.core import defaults
 from protochain.core.markup import counted, listed
@@ -39,7 +39,6 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.relaxation.problems import Problems
 
-    print_changes(source, structure)
     x = structure.positions
     energy(x)  # It loads kernels.
     began = monotonic()
@@ -50,20 +49,24 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     inverted = counted(len(at.inverted), "inverted stereocentre")
     as_d = structure.mirrored[structure.atom_residue[at.inverted]].all()
     advice = "" if as_d else " (name D-amino acids as DAL ...)"
+    rings = ["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []
+    inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inverted) else []
     twisted = counted(len(at.peptides), "twisted peptide bond")
+    duration = f"about {max(seconds, 1.0):.0f} s"
     stated = [
-        f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
         f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
         + (f", {beside} of them with molecules kept with the protein" if beside else ""),
         str(at.violations),
-        *(["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []),
-        *([f"{inverted}, to be corrected{advice}"] if len(at.inverted) else []),
+        *rings,
+        *inverted_line,
         *([f"{twisted}, to be turned to trans or cis"] if len(at.peptides) else []),
         *_breaks(structure),
-        f"about {max(seconds, 1.0):.0f} s",
+        duration,
     ]
-    print(f"{source}: {'; '.join(stated)}", file=sys.stderr)
+    short = [*said_of_move(structure, move), duration]
+    warnings = [] if is_verbose() else [*rings, *(inverted_line if advice else ())]
+    print_changes(source, structure, stated if is_verbose() else short, warnings)
     return seconds
 
 
@@ -87,15 +90,15 @@ def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
 
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
-    from protochain.relaxation.record import before_and_after
+    from protochain.relaxation.record import ENERGY, before_and_after
     from protochain.structure.molecule.repairs import summarised
     from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)
-    wide = max(len(what) for what, _, _ in rows)
-    print(f"{'':{wide}} {'before':>12} {'after':>12}")
-    for what, before, after in rows:
-        print(f"{what:{wide}} {before:>12} {after:>12}")
+    energies = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
+    table_of_two(
+        [(row[0], *map(energy_text, row[1:], energies)) if row[0] == ENERGY else row for row in rows]
+    )
     rounds = record["n_rounds"]
     rmsd = record["ca_rmsd_angstrom"]
     moved = (
@@ -108,18 +111,25 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         f"{m['displacement_max_angstrom']:.2f} angstrom"
         for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
     ]
-    stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else []), record["message"]]
+    stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
+    details = []
     if record["repacked"]:
         noted = summarised(result.turned) or ("no side chain is better turned",)
-        stated.insert(1, f"repacked first: {'; '.join(noted)}")
+        details.append(f"repacked first: {'; '.join(noted)}")
     if turned := (*result.stereocentres_corrected, *result.peptides_turned):
-        stated.insert(1, "; ".join(summarised(turned)))
-    stated += remains_in_words(record)
-    print("\n".join(line for each in stated for line in textwrap.wrap(each, _WIDTH)))
+        details.append("; ".join(summarised(turned)))
+    _wrapped(Kind.RESULT, stated)
+    _wrapped(Kind.MORE, details)
+    _wrapped(Kind.VERDICT, [record["message"]])
+    _wrapped(Kind.RESULT, remains_in_words(record, residues_shown()))
     print_violations(record)
     print_lost([record])
-    print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
+    tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")
     print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
+
+
+def _wrapped(kind: Kind, lines: list[str]) -> None:
+    tell(kind, *(row for line in lines for row in textwrap.wrap(line, _WIDTH)))
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:
@@ -128,12 +138,13 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
 
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
-    print(f"{counted(len(table), 'structure')}: {counts}")
+    tell(Kind.VERDICT, f"{counted(len(table), 'structure')}: {counts}")
     if len(usable):
-        print(
+        tell(
+            Kind.RESULT,
             f"{mended(usable)}; medians: C-alpha RMSD "
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
-            f"{ligands_moved(usable)}"
+            f"{ligands_moved(usable)}",
         )
     near = usable[usable["overlaps_beside_start"] > 0]
     if len(near):
@@ -143,11 +154,11 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         ]
         more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
         what = "structures overlapped with molecules kept with the protein"
-        print(f"{len(near)} of {len(table)} {what}: {', '.join(noted)}{more}")
+        tell(Kind.RESULT, f"{len(near)} of {len(table)} {what}: {', '.join(noted)}{more}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
-        print(f"{row.structure}: {row.message}")
+        tell(Kind.RESULT, f"{row.structure}: {row.message}")
     if len(left) > _SHOWN:
-        print(f"and {len(left) - _SHOWN} more, in the table")
+        tell(Kind.RESULT, f"and {len(left) - _SHOWN} more, in the table")
     print_lost(table.to_dict("records"))
-    print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html in one folder")
+    tell(Kind.WRITTEN, f"written: {folder / 'relaxed.csv'}, the structures, and report.html in one folder")

@@ -1,6 +1,5 @@
 """``protochain score``."""
 
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +10,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory
+from protochain.cli.lines import Kind, tell, warn, with_detail
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
@@ -30,6 +30,7 @@ _SHOWN = {
 """Columns of the terminal; kJ/mol and square angstrom."""
 
 
+@with_detail
 @options.with_settings(setup="hinges root move rigid_protein engine device terms")
 def score(
     context: typer.Context,
@@ -117,12 +118,12 @@ def score(
     if rank:
         found.sort(key=lambda each: _place(each[0].get(rank), known[rank].better))
     rows, good = [row for row, _ in found], [(row, its) for row, its in found if its]
-    crowded = False
+    crowded: list[str] = []
     for structure in {id(its.structure): its.structure for _, its in good}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
-            crowded = True
             what = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
-            print(f"{structure.name}: {what}; relax first, with --relax", file=sys.stderr)
+            crowded.append(f"{structure.name}: {what}; relax first, with --relax")
+    warn(crowded)
     of_residues = [its.residues.assign(file=row["file"], interface=its.name) for row, its in good]
     if report:
         from protochain.comparison.scored import write_scored
@@ -145,4 +146,4 @@ def _print(rows: Rows) -> None:
     shown = {key: stated for key, stated in _SHOWN.items() if any(row[key] is not None for row in rows)}
     cells = ([Path(row["file"]).name, row["interface"], *(row[key] for key in shown)] for row in rows)
     print_rows(["file", "sides", *shown.values()], cells, texts=2)
-    print("energies in kJ/mol, areas in square angstrom; --csv and --json have all columns")
+    tell(Kind.RESULT, "energies in kJ/mol, areas in square angstrom; --csv and --json have all columns")

@@ -1,6 +1,5 @@
 """``protochain simulate``."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import options
 from protochain.cli.first import METHOD, foretell_both, minimised_first
+from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import claim_folder
@@ -30,6 +30,7 @@ Output = Annotated[
 Relax = Annotated[bool, typer.Option(help="Minimise first, by turning hinges.")]
 
 
+@with_detail
 @options.with_settings()
 def simulate(
     context: typer.Context,
@@ -100,5 +101,5 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: Simulat
     relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
     kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
-    print(f"{source}: {stated}{kept}", file=sys.stderr)
+    tell(Kind.PROGRESS, f"{stated}{kept}")
     return relaxed.q

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from protochain.cli.lines import OVERLAPPING, Kind, energy_text, prints, residues_shown, tell, warn
 from protochain.cli.options import print_lost, print_violations
 from protochain.cli.printable import printable, printer
 from protochain.core.timings import PARTS
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.minimisers import Recipe
+    from protochain.results.columns import Column
     from protochain.searching import Search, SearchProgress
     from protochain.structure import Structure
 
@@ -54,7 +56,9 @@ class _Progress:
             TextColumn("{task.description}", markup=False), BarColumn(16), TextColumn("{task.fields[now]}"),
             TextColumn("{task.fields[left]}"),
         )  # fmt: skip
-        self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
+        self.bar = Progress(
+            *columns, console=self.console, disable=not (self.console.is_terminal and prints(Kind.PROGRESS))
+        )
         self.task = self.bar.add_task(self.name, total=typical, now="", left="")
         self.stage = self.now = ""
         self.done, self.first = 0.0, 0.0
@@ -76,7 +80,8 @@ class _Progress:
 
     def say(self, line: str) -> None:
         """Print a line, above the bar if there is one."""
-        self.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        if prints(Kind.PROGRESS):
+            self.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def _left(self) -> str:
         passed = monotonic() - self.began
@@ -180,8 +185,7 @@ def print_outlook(source: object, structure: "Structure", method: "str | Recipe"
     from protochain.minimisers.start_warnings import outlook
 
     lines = outlook(structure, recipe_of(method))
-    for line in lines:
-        print(f"{source}: {line}", file=sys.stderr)
+    warn(lines)
     return bool(lines)
 
 
@@ -202,10 +206,10 @@ def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int,
         if each * evaluations < _LONG:
             return
     usual = f"typically {evaluations} of at most {most}" if evaluations < most else f"at most {most}"
-    print(
-        f"{source}: {chain.n_atoms} atoms, {each:.2g} s an energy, {usual} evaluations: "
+    tell(
+        Kind.PROGRESS,
+        f"{chain.n_atoms} atoms, {each:.2g} s an energy, {usual} evaluations: "
         f"about {_clock(each * evaluations)}",
-        file=sys.stderr,
     )
 
 
@@ -292,7 +296,7 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
                 console.print(f"dashboard: {so_far.dashboard}", highlight=False)
             rate = 60.0 * so_far.done / so_far.seconds
             now = f"{so_far.skipped + so_far.done} of {so_far.total}, {so_far.failed} failed, {rate:.0f}/min"
-            if so_far.line:
+            if so_far.line and prints(Kind.PROGRESS):
                 number = f"[{so_far.skipped + so_far.done} of {so_far.total}]"
                 console.print(f"{number} {so_far.line}", markup=False, highlight=False, soft_wrap=True)
             bar.update(task, total=so_far.total, completed=so_far.skipped + so_far.done, now=now)
@@ -312,17 +316,18 @@ def print_simulation(record: dict[str, Any]) -> None:
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
     speed = record["ns_per_day"]
     done = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
-    print(
-        f"{record['structure']}: {record['message']}, {done}\n"
+    tell(Kind.VERDICT, f"{record['structure']}: {record['message']}, {done}")
+    tell(
+        Kind.RESULT,
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
         f"{_pulled(record)}"
         f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"
         f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
-        f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}"
+        f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}",
     )
     print_violations(record)
     print_lost([record])
-    print(f"written: {record['output']}")
+    tell(Kind.WRITTEN, f"written: {record['output']}")
 
 
 def _pulled(record: dict[str, Any]) -> str:
@@ -343,7 +348,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     from protochain.minimisers.record import shown
 
     columns_shown = shown(records)
-    rows = [[column.short_text(record[column.key]) for column in columns_shown] for record in records]
+    rows = [[_cell(column, record[column.key]) for column in columns_shown] for record in records]
     console = printer()
     headings = [f"{c.short or c.heading} {c.unit}".strip() for c in columns_shown]
     columns = [list(cells) for cells in zip(headings, *rows, strict=True)]
@@ -360,10 +365,18 @@ def print_table(records: list[dict[str, Any]]) -> None:
     for row in rows:
         table.add_row(*row)
     # In less room than the numbers take rich would cut the last ones off.
-    console.print(table, crop=False)
+    if prints(Kind.RESULT):
+        console.print(table, crop=False)
+    if any(OVERLAPPING.startswith(cell) for row in rows for cell in row if cell.startswith(">")):
+        tell(Kind.RESULT, f"energies {OVERLAPPING.replace('1e6', '1e6 kJ/mol')}")
     for record in records:
         message = record["message"]
         console.print(f"{record['method']}: {message}", markup=False, highlight=False)
+
+
+def _cell(column: "Column", value: Any) -> str:
+    text = column.short_text(value)
+    return energy_text(text, value).partition(" (")[0] if column.unit == "kJ/mol" else text
 
 
 def print_timings(record: dict[str, Any]) -> None:
@@ -381,11 +394,10 @@ def print_written(record: dict[str, Any]) -> None:
     from protochain.validation.findings import remains_in_words
 
     print_violations(record)
-    for line in remains_in_words(record):
-        print(line)
+    tell(Kind.RESULT, *remains_in_words(record, residues_shown()))
     superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))
-    print(f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
-    print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
+    tell(Kind.RESULT, f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
+    tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:
@@ -440,7 +452,8 @@ def print_batch(table: "DataFrame", report: str) -> None:
 def print_distribution(summary: dict[str, float]) -> None:
     """Print the distribution of final energies of many starts."""
     low, middle, high = (summary[f"energy_{name}_kj_mol"] for name in ("lowest", "median", "highest"))
-    print(
+    tell(
+        Kind.RESULT,
         f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
-        f"{summary['n_within_1_kj_mol_of_lowest']} within 1 kJ/mol of the lowest"
+        f"{summary['n_within_1_kj_mol_of_lowest']} within 1 kJ/mol of the lowest",
     )

@@ -171,7 +171,7 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
     --------
     >>> m = pc.mutate("structures/1l2y.pdb", "A:L7A")
     >>> m.structure.describe_residue(6), m.ddg > 0.0
-    ('residue 7 ALA of chain A', True)
+    ('A:ALA7', True)
     """
     relaxing, setup = protocol(options, source)
     structure = setup.load(source)

@@ -124,6 +124,9 @@ def _strain(ligands: tuple[LigandFound, ...]) -> float | None:
     return largest([ligand.strain_kj_mol for ligand in ligands if ligand.strain_kj_mol is not None])
 
 
+ENERGY = "energy, kJ/mol"
+
+
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return what is compared in words, before and after; measures that are 0 in both are left out."""
     rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
@@ -135,7 +138,7 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows.append(("largest strain of a ligand, kJ/mol", before, after))
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
-    rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
+    rows.append((ENERGY, record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
     stated = [(what, _said(before), _said(after)) for what, before, after in rows]
     if "interface" in record:
         for key in _TOLD:

@@ -299,8 +299,8 @@ def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
     return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
 
 
-def remains_in_words(record: Mapping[str, Any]) -> list[str]:
+def remains_in_words(record: Mapping[str, Any], shown: int = 6) -> list[str]:
     """Describe what remains in a record beyond its message: a line for each of ``REMAINS`` with places."""
     named = () if record.get("status") == "clash" else _JUDGED
     places = {key: record.get(key) for key in REMAINS if key not in named}
-    return [f"{REMAINS[key].what}: {listed(at)} ({len(at)})" for key, at in places.items() if at]
+    return [f"{REMAINS[key].what}: {listed(at, shown)} ({len(at)})" for key, at in places.items() if at]

@@ -204,7 +204,7 @@ def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
 
 
 def double_bonds_named(structure: Structure, pairs: Integers) -> list[str]:
-    """Name double bonds (n, 2), as ``C1=C2 of residue 1 LIG of chain A``."""
+    """Name double bonds (n, 2), as ``C1=C2 of A:LIG1``."""
     of = structure.atom_residue
     return [f"{'='.join(structure.atom_name[p])} of {structure.residue(int(of[p[0]]))}" for p in pairs]
 

@@ -36,7 +36,7 @@ def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
 
 
 def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the peptide bonds that changed: ``before residue 14 LYS of chain A (omega 178, now 4)``."""
+    """Name the peptide bonds that changed: ``before A:LYS14 (omega 178, now 4)``."""
     now, then = omegas(structure, x), omegas(structure, reference)
     size = np.abs(now.omega)
     crossed = np.where(then.cis, size > PERPENDICULAR, size < PERPENDICULAR)

@@ -145,8 +145,8 @@ FOLDERS = {
     "ESMFold2": {"x.cif": lambda: model(0.87), "x.pdb": lambda: model(0.87)},
 }  # fmt: skip
 REPORTED = {
-    "Chai-1": ("LIG1 of chain B stays in place",),
-    "RFdiffusion3": ("pseudo-atoms V0", "residue 20 UNK of chain A: read as ALA"),
+    "Chai-1": ("B:LIG1 1 stays in place",),
+    "RFdiffusion3": ("pseudo-atoms V0", "A:UNK20: read as ALA"),
     "BoltzGen": ("CB, CG, OD1, ND2 at the origin, upon CA or over 15 angstrom away: treated as missing",),
 }
 
@@ -185,7 +185,7 @@ def test_a_ligand_without_a_name_of_its_own_gets_its_chemistry(tmp_path):
     make(tmp_path, FOLDERS["Chai-1"])
     out = tmp_path / "out"
     assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligand", "LIG1=Oc1ccccc1") == 0
-    assert "LIG1 of chain B moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
+    assert "B:LIG1 1 moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
 
 
 def test_frames_in_a_folder_of_bioemu_are_named_with_what_relaxes_them(tmp_path, capsys, monkeypatch):

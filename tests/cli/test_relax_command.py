@@ -44,8 +44,8 @@ def test_a_ranked_model_is_named_as_colabfold_names_it_and_said_before_and_after
     (here / name).write_text(as_text(damaged, ".pdb", hydrogens=False))
     assert run("relax", name, "--threads", 1) == 0
     said = capsys.readouterr()
-    first = said.err.splitlines()[-1]
-    assert first.startswith(f"{name}: 20 residues, 304 atoms; ") and "overlap" in first and "about" in first
+    first, *warnings = said.err.splitlines()
+    assert first.startswith(f"{name}: 20 residues, 304 atoms; about") and len(warnings) <= 6
     written = name.replace("unrelaxed", "relaxed")
     assert said.out.splitlines()[-1] == f"written: {written}" and (here / written).exists()
     assert "before" in said.out and "after" in said.out and "converged: RMS force" in said.out

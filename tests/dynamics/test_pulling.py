@@ -356,7 +356,7 @@ def test_numbers_that_make_no_sense_are_refused(given, word):
 @pytest.mark.parametrize(
     ("between", "said"),
     [
-        ("A:1:N-A:2:XX", "A:2:XX: no atom XX in residue 2 ALA of chain A; its atoms are N H CA"),
+        ("A:1:N-A:2:XX", "A:2:XX: no atom XX in A:ALA2; its atoms are N H CA"),
         ("A:1:N-B:2:N", "there are no residues B:2; its chains are A"),
         ("A:1:N-A:11:N", "chain A has 1 to 10"),
         ("A:1:N-A:1:CA", "no hinge changes this distance"),

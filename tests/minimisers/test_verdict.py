@@ -80,7 +80,7 @@ def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
     side = [i for name, i in at.items() if name not in ("N", "H", "C", "O", "CA")]
     x[side] -= 2.0 * np.outer((x[side] - alpha) @ normal, normal)
     changed = s.with_positions(x)
-    named = "inverted stereocentres: CA of residue 5 ALA of chain A"
+    named = "inverted stereocentres: CA of A:ALA5"
     assert judged(changed) == (Status.VIOLATIONS, f"violations: {named}; so far")
     assert rejected(changed, x) == [named] and rejected(s, s.positions) == []
     # What the message names is printed once; that of a clash does not name it.
@@ -116,7 +116,7 @@ def test_a_double_bond_of_the_other_kind_is_no_converged_result(tmp_path):
             f"HETATM{900 + atom.GetIdx():5d}  {name:<3} LIG A 101    {at}  1.00  0.00           {name[0]}"
         )
     (tmp_path / "lig.pdb").write_text("\n".join([*lines, "END"]))
-    for smiles, wrong in (("OC(=O)/C=C/C", []), ("OC(=O)/C=C\\C", ["C3=C4 of residue 101 LIG of chain A"])):
+    for smiles, wrong in (("OC(=O)/C=C/C", []), ("OC(=O)/C=C\\C", ["C3=C4 of A:LIG101"])):
         s = pc.load(tmp_path / "lig.pdb", ligands=[f"LIG={smiles}"])
         assert remains(s, s.positions)["inverted_double_bonds"] == wrong
         assert judged(s)[0] is (Status.VIOLATIONS if wrong else Status.CONVERGED)

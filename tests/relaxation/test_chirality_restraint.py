@@ -87,7 +87,7 @@ def test_every_triple_of_bonds_of_an_atom_counts():
 def test_well_formed_residues_of_the_wrong_hand_become_right():
     s = load("1ubq.pdb")
     wrong = other_hand(other_hand(s, index(s, 7), about="CB", first="CA", second="HB"), index(s, 43))
-    threonine, leucine = "residue 7 THR of chain A", "residue 43 LEU of chain A"
+    threonine, leucine = "A:THR7", "A:LEU43"
     r = pc.relax(wrong, threads=1)
     assert (r.measures_start["inverted_stereocentres"], r.measures_end["inverted_stereocentres"]) == (2, 0)
     assert r.status == "converged" and r.measures_end["violations"] == 0 and r.ca_rmsd_angstrom < 0.2
@@ -121,7 +121,7 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
     assert (
         two.describe(int(ChiralityRestraint.of(two).wrong(two.positions)[0]))
-        == "atom CA of residue 7 DAL of chain A"
+        == "atom CA of A:DAL7"
     )
     r = pc.relax(two, threads=1)
     (turned,) = r.stereocentres_corrected

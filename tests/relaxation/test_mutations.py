@@ -184,7 +184,7 @@ def test_binding_changes_where_the_interface_does():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("A:F7A", "there is residue 7 LEU of chain A"), ("A:L7", "as A:L45F"), ("A:L7B", "as A:L45F"),
+        ("A:F7A", "there is A:LEU7"), ("A:L7", "as A:L45F"), ("A:L7B", "as A:L45F"),
         ("A:L77A", "there are no residues A:77"), ("Z:L7A", "no residues Z:7"), ("", "give some"),
         ("A:L7A,A:L7V", "mutated twice"), ("B:", "as A:L45F"),
     ],

@@ -77,7 +77,7 @@ def test_a_bond_beyond_the_barrier_is_turned_to_trans_in_the_first_round(bent):
     r = pc.relax(bent, threads=1)
     assert r.status == "converged" and len(r.rounds) == 1
     assert (r.measures_end["cis_peptides"], r.measures_end["twisted_peptides"]) == (0, 0)
-    told = "residue 13 SER of chain A: twisted peptide bond before it turned to trans"
+    told = "A:SER13: twisted peptide bond before it turned to trans"
     assert [str(each) for each in r.peptides_turned] == [told] == sentences(r.structure)[-1:]
     assert r.record()["peptides_turned"] == [told] and r.ca_rmsd_angstrom < 0.4
     alone = pc.minimise(bent, pc.energy(bent), "cartesian", restraint=4184.0)
@@ -123,7 +123,7 @@ def test_what_springs_do_not_hold_is_not_pushed():
 
 
 def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
-    name = "before residue 13 SER of chain A (omega "
+    name = "before A:SER13 (omega "
     r = pc.relax(bent, threads=1, protocol="alphafold", max_iterations=1)
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
@@ -137,12 +137,12 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
 def test_minimise_names_a_bond_that_turned(bent):
     s = load("1l2y.pdb")
     assert isomerised_bonds(s, bent.positions, s.positions)[0].startswith(
-        "before residue 13 SER of chain A (omega "
+        "before A:SER13 (omega "
     )
     assert not isomerised_bonds(bent, s.positions, bent.positions)  # It had no form that it could lose.
     status, message = verdict(Stop.TOLERANCE, True, "as measured", s, bent.positions, 5)
     assert status is pc.Status.ISOMERISED and message.startswith(
-        "isomerised: the peptide bond before residue 13 SER"
+        "isomerised: the peptide bond before A:SER13"
     )
     assert verdict(Stop.INTERRUPTED, True, "", s, bent.positions, 5)[0] is pc.Status.INTERRUPTED
 
@@ -152,5 +152,5 @@ def test_minimise_names_a_bond_that_became_twisted():
     s = load("1l2y.pdb")
     r = pulled(s, 12, 130.0)
     (said,) = twisted_bonds(s, r.x, s.positions)
-    assert said.startswith("before residue 13 SER of chain A (omega ") and r.status == "converged"
+    assert said.startswith("before A:SER13 (omega ") and r.status == "converged"
     assert r.message.endswith(f"; peptide bonds that became twisted: {said}")

@@ -332,7 +332,7 @@ def test_only_hands_that_became_wrong_are_inverted():
     right = load("1l2y.pdb")
     mirror = right.positions * [1.0, 1.0, -1.0]
     spoiled = _spoiled(Problems(right, mirror))
-    assert len(spoiled) >= 16 and spoiled[0] == "CA of residue 1 ASN of chain A"
+    assert len(spoiled) >= 16 and spoiled[0] == "CA of A:ASN1"
 
 
 def test_the_budget_of_iterations_holds_while_rings_are_freed():

@@ -69,10 +69,7 @@ def test_atoms_of_the_protein_as_near_as_bonded_ones_are_named_unless_something_
         return draft
 
     assert kinds(near("CB", 1.82)) == [Kind.NEAR]
-    assert (
-        "SG of residue 1 CYS of chain A and CB of residue 3 CYS of chain A (1.82"
-        in sentences(near("CB", 1.82))[0]
-    )
+    assert "SG of A:CYS1 and CB of A:CYS3 (1.82" in sentences(near("CB", 1.82))[0]
     assert [*map(kinds, (near("CB", 2.2), near("SG", 2.05), near("CB", 1.82, 2)))] == [[]] * 3
 
 
@@ -116,7 +113,7 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
     assert disulfides(draft, ["none"]) == [] and draft.repairs == []
     for members, bonds, why in (
         ((a, b), [("A:1", "B:1")], "no cysteine B:1; its cysteines are A:1, A:2B"),
-        ((member("ALA", 1),), [("A:1", "A:2")], "residue 1 ALA of chain A is no cysteine"),
+        ((member("ALA", 1),), [("A:1", "A:2")], "A:ALA1 is no cysteine"),
         ((a, c), [("A:1", "A:1")], "give two"),
         ((a, b, c), ["none", ("A:1", "A:3"), ("A:2B", "A:3")], "A:1 and A:3 are bonded"),
         ((a, b, c), [("A:2B", "A:3")], "A:1 and A:2B are bonded"),
@@ -395,7 +392,7 @@ def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, do
         assert [(each.atom.name, each.is_metal) for each in links] == [(donor, True)] * bonded
         assert [a.name for a in residue.metals] == [donor] * bonded and residue.links == []
         assert kinds(draft) == [Kind.ION_HELD] * bonded
-        assert not bonded or f"{donor} of residue 1 {name} of chain A ({far:.2f}" in sentences(draft)[0]
+        assert not bonded or f"{donor} of A:{name}1 ({far:.2f}" in sentences(draft)[0]
 
 
 def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so():
@@ -487,7 +484,7 @@ def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
     full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
     draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
     draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
-    assert linked(draft) == [] and "C1 of residue 5 NAG of chain B has no valence" in sentences(draft)[0]
+    assert linked(draft) == [] and "C1 of B:NAG5 has no valence" in sentences(draft)[0]
 
 
 def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():

@@ -90,7 +90,7 @@ def test_the_second_oxygen_needs_an_angle(angle, possible):
         made = module._terminal_oxygen(Draft("x", "x"), bent, "OXT")
         assert made.pos.dist(bent.atom("C").pos) == pytest.approx(1.25, abs=1e-9)
         return
-    with pytest.raises(pc.ProtochainError, match="residue 7 GLY of chain A: no place for OXT"):
+    with pytest.raises(pc.ProtochainError, match="A:GLY7: no place for OXT"):
         module._terminal_oxygen(Draft("x", "x"), bent, "OXT")
 
 
@@ -99,16 +99,16 @@ def test_residues_and_atoms_without_parameters_are_named():
     for refusal, words in (
         (
             refused(member("LIG", 1, "C"), evidence=Evidence.ELEMENTS),
-            "residue 1 LIG of chain A: the force field has no",
+            "A:LIG1: the force field has no",
         ),
         (refused(glycine(1), member("LIG", 2, "C")), "at the end of a chain"),
         (refused(glycine(1), glycine(2, "HQ", "OXT", "CX", "CY")), "atom CX does not belong to GLY"),
-        (refused(*hydroxyproline), "residue 2 HYP of chain A: atom CD missing"),
+        (refused(*hydroxyproline), "A:HYP2: atom CD missing"),
         (
             refused(member("HOH", 1, "H1"), evidence=Evidence.ELEMENTS),
-            "residue 1 HOH of chain A: atom O missing",
+            "A:HOH1: atom O missing",
         ),
-        (refused(member("ACE", 4, "C", "CH3"), *serines()), "residue 4 ACE of chain A: atom O missing"),
+        (refused(member("ACE", 4, "C", "CH3"), *serines()), "A:ACE4: atom O missing"),
     ):
         assert words in refusal
 
@@ -141,7 +141,7 @@ def test_missing_atoms_of_a_side_chain_are_built_where_they_belong():
     draft = drafted(*part)
     run(draft, (add_heavy_atoms,))
     assert sentences(draft) == [
-        "residue 5 SER of chain A: missing CB, OG added", "residue 6 SER of chain A: missing OG added",
+        "A:SER5: missing CB, OG added", "A:SER6: missing OG added",
     ]  # fmt: skip
     # Hydrogens of the atoms that get a neighbour are placed anew, those of N are not.
     assert names(part[0]) == ["N", "H1", "H2", "H3", "CA", "C", "O", "CB", "OG"]
@@ -164,7 +164,7 @@ def test_an_atom_between_others_is_not_chosen_but_fitted():
     draft = drafted(*part)
     run(draft, (add_heavy_atoms,))
     assert np.linalg.norm(at(part[0], "CB") - beta) < 0.1
-    assert sentences(draft) == ["residue 5 SER of chain A: missing CB added"]
+    assert sentences(draft) == ["A:SER5: missing CB added"]
 
 
 def test_a_residue_of_a_d_name_is_built_in_the_mirror():
@@ -236,7 +236,7 @@ def test_a_backbone_on_one_line_is_refused_where_something_is_built(aside, flat)
     if not flat:
         module._check_backbone(Draft("x", "x"), one)
         return
-    with pytest.raises(pc.ProtochainError, match="residue 1 SER of chain A: N, CA and C are collinear"):
+    with pytest.raises(pc.ProtochainError, match="A:SER1: N, CA and C are collinear"):
         module._check_backbone(Draft("x", "x"), one)
 
 
@@ -246,7 +246,7 @@ def test_atoms_that_leave_no_place_for_others_are_refused():
     module._check_hand(draft, wrong, {"OG", "O"})
     module._check_hand(draft, Site(one, 1, None, None), {"CA", "CB"})
     for name in ("CA", "CB", "N", "C"):
-        with pytest.raises(pc.ProtochainError, match=r"residue 5 SER of chain A: .* missing at CA"):
+        with pytest.raises(pc.ProtochainError, match=r"A:SER5: .* missing at CA"):
             module._check_hand(draft, wrong, {name, "OG"})
 
 

@@ -221,7 +221,7 @@ def test_amino_acids_become_their_parents_or_are_refused_by_name(extra_atom, tmp
         try:
             s = pc.load(path, standard_residues=True)
         except pc.ProtochainError as error:
-            assert f"{path}: residue " in str(error) and "\n" not in str(error)
+            assert f"{path}: A:" in str(error) and "\n" not in str(error)
             refused.add(name)
         else:
             assert s.residue_name.tolist() == [parent, "ALA", parent, "ALA", parent]
@@ -264,7 +264,7 @@ def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
     made = pc.load(written(tmp_path, "".join(lines)), standard_residues=True)
     assert made.residue_name.tolist() == s.residue_name.tolist() and made.n_atoms == s.n_atoms
     said = "converted to its standard parent TYR, S, O1, O2, O3 left out"
-    assert f"residue {place} TYS of chain A: {said}" in sentences(made)
+    assert f"A:TYS{place}: {said}" in sentences(made)
     carbon, oxygen = (
         made.positions[(made.atom_residue == place - 1) & (made.atom_name == name)][0] for name in ("C", "O")
     )
@@ -284,7 +284,7 @@ def test_modified_histidines_are_read_with_their_own_atoms(name, tmp_path):
             lines.append(f"HETATM{line[6:12]} CZ  HIC{line[20:30]}{at}{line[54:76]} C\n")
     made = pc.load(written(tmp_path, "".join(lines)), standard_residues=True)
     assert made.residue_name.tolist() == ["ALA", "HIS", "ALA"]
-    assert any(f"residue 2 {name} of chain A" in line for line in sentences(made))
+    assert any(f"A:{name}2" in line for line in sentences(made))
     assert np.isfinite(pc.energy(made, solvent="vacuum")(made.positions)[0])
 
 

@@ -296,7 +296,9 @@ def test_a_sugar_of_another_hand_is_named_and_turned_right(tmp_path):
     (repair,) = told(s, Kind.SUGAR_INVERTED)
     assert repair.facts["atoms"] == ("C4",) and repair.facts["residue"].name == "NAG"
     result = pc.relax(s, threads=1)
-    assert any("C4 of residue 1 NAG" in each for each in changed_stereocentres(s, result.x, s.positions))
+    assert any(
+        re.search(r"C4 of \w*:?NAG1\b", each) for each in changed_stereocentres(s, result.x, s.positions)
+    )
 
 
 def test_of_two_anomers_a_sugar_is_that_which_its_atoms_are(tmp_path):
@@ -337,13 +339,13 @@ def test_a_link_that_glycam_does_not_know_has_the_parameters_of_small_molecules(
     s = pc.load(borne(tmp_path, "59 OH", "MAN"))
     assert not s.glycans and s.mobile.any() and not s.obstacle.any()
     (link,) = told(s, Kind.LINKED)
-    assert "OH of residue 59 TYR" in str(link)
+    assert "OH of A:TYR59" in str(link)
     assert_equals_reference(pc.energy(s, engine="native"), s.positions)
 
 
 def test_another_force_field_is_refused_with_the_remedy(tmp_path):
     s = pc.load(borne(tmp_path, "60 ND2", "NAG"))
-    with pytest.raises(pc.ProtochainError, match=r"residue 1 NAG of chain S .* GLYCAM-06j.* load"):
+    with pytest.raises(pc.ProtochainError, match=r"S:NAG1 .* GLYCAM-06j.* load"):
         pc.energy(s, "charmm36")
 
 

@@ -189,9 +189,7 @@ def test_a_wrong_hand_of_the_file_is_kept_and_said_in_one_line():
     inverted(draft, 9, "CB", "OG1", "CG2")
     was = places(inverted(draft, 36, "CB", "CG1", "CG2"))
     lines = [line for line in sentences(prepare(draft)) if "inverted" in line]
-    assert lines == [
-        "inverted stereocentres in the file: CB of residue 9 THR of chain A, CB of residue 36 ILE of chain A"
-    ]
+    assert lines == ["inverted stereocentres in the file: CB of A:THR9, CB of A:ILE36"]
     assert was["CG1"].tolist() == draft.members[35].atom("CG1").pos.tolist()
     assert not any("inverted" in line for line in sentences(load("1ubq.pdb")))
 
@@ -206,7 +204,7 @@ def test_a_side_chain_goes_on_from_the_atoms_of_the_file_even_if_these_are_of_th
     lysine.atoms = [a for a in lysine.atoms if a.name in (*BACKBONE, "CB")]
     lysine.atom("CB").pos = gemmi.Position(*mirror.tolist())
     structure = prepare(draft)
-    assert any("in the file: CA of residue 6 LYS" in line for line in sentences(structure))
+    assert any("in the file: CA of A:LYS6" in line for line in sentences(structure))
     assert spins("LYS", places(lysine))[0] == -1 and "NZ" in places(lysine)
     assert places(lysine)["CB"] == pytest.approx(mirror)
 
@@ -275,11 +273,9 @@ def test_a_run_that_changes_a_hand_ends_in_an_error_status():
     for stop, met in ((Stop.TOLERANCE, True), (Stop.BUDGET, False)):
         status, message = verdict(stop, met, "measured", structure, flipped, 5)
         assert status is Status.INVERTED
-        assert (
-            message.startswith("inverted: CA of residue 2 LEU of chain A inverted; ") and "\n" not in message
-        )
+        assert message.startswith("inverted: CA of A:LEU2 inverted; ") and "\n" not in message
     status, message = verdict(Stop.INTERRUPTED, True, "measured", structure, flipped, 5)
-    assert status is Status.INTERRUPTED and "residue 2 LEU of chain A inverted" in message
+    assert status is Status.INTERRUPTED and "A:LEU2 inverted" in message
     assert verdict(Stop.TOLERANCE, True, "measured", structure, structure.positions, 5)[0] is Status.CONVERGED
 
 
@@ -291,7 +287,7 @@ def test_a_minimum_of_the_other_hand_is_no_success_and_not_the_best_of_several()
         return 500.0 * float(((x - target) ** 2).sum()), -1000.0 * (x - target)
 
     solution = pc.minimise(structure, pulled, "cartesian")
-    assert solution.status == "inverted" and "CA of residue 1 ALA of chain A inverted" in solution.message
+    assert solution.status == "inverted" and "CA of A:ALA1 inverted" in solution.message
     assert not solution.to_scipy().success
     kept = pc.minimise(structure, pc.energy(structure), "cartesian", max_evaluations=5)
     assert pc.minimisers.Starts(solution.chain, (solution, kept)).best is kept

@@ -323,7 +323,7 @@ def test_glycans_stay_bonded_and_do_not_push_their_residue_away(tmp_path):
     names, residue = s.atom_name, s.atom_residue
     (bond,) = (b for b in s.bonds.tolist() if {"ND2", "C1"} == {*names[b]} and len({*residue[b]}) == 2)
     nitrogen, carbon = sorted(bond, key=lambda atom: names[atom] != "ND2")
-    assert s.describe(nitrogen) == "atom ND2 of residue 352 ASN of chain A" and not s.obstacle[carbon]
+    assert s.describe(nitrogen) == "atom ND2 of A:ASN352" and not s.obstacle[carbon]
     partners = {str(names[k]) for pair in s.bonds[(s.bonds == nitrogen).any(axis=1)] for k in pair}
     assert len(partners) == 4 and partners > {"ND2", "CG", "C1"} and not s.ties
     c, e = pc.build_chain(s), pc.energy(s, "amber19")

@@ -337,7 +337,7 @@ def test_the_sdf_has_a_ligand_that_is_bonded_to_the_protein(tmp_path, kind):
     y = made.GetConformer().GetPositions()
     assert np.abs(np.sort(x, axis=0) - np.sort(y, axis=0)).max() < 2e-4
     residue = case.molecules[0].split()[i]
-    assert made.GetProp("protochain_bonds") == f"{a} of residue {i + 1} {residue} of chain A and {b}"
+    assert made.GetProp("protochain_bonds") == f"{a} of A:{residue}{i + 1} and {b}"
     assert float(made.GetProp("protochain_energy_kj_mol")) == pytest.approx(result.energy_end, abs=1e-3)
     assert float(made.GetProp("protochain_rmsd_angstrom")) > 0.0
 

@@ -169,7 +169,7 @@ def test_a_straight_one_stands_still_in_torsions_and_moves_in_all_atoms(tmp_path
 
 def test_a_structure_with_a_free_molecule_needs_its_parameters(tmp_path):
     s = prepared(tmp_path).structure
-    with pytest.raises(pc.ProtochainError, match=r"residue 1 LIG of chain B moves and has no parameters"):
+    with pytest.raises(pc.ProtochainError, match=r"B:LIG1 moves and has no parameters"):
         pc.energy(s, "amber14")
 
 

@@ -34,8 +34,8 @@ def test_columns_are_those_of_the_topology():
     # The smaller index first, also where the topology has it second.
     assert S.bonds.tolist() == [[0, 1], [1, 2], [2, 4], [6, 7], [0, 9], [3, 10], [11, 12], [11, 13]]
     assert S.alpha_carbons.tolist() == [1, 5, 8]
-    assert S.describe(7) == "atom N of residue 3B CYS of chain A"
-    assert S.describe_residue(3) == "residue 4 HOH of chain (blank)"
+    assert S.describe(7) == "atom N of A:CYS3B"
+    assert S.describe_residue(3) == "HOH4"
     for column in (
         S.positions,
         S.atom_mass,
@@ -88,7 +88,7 @@ def test_positions_have_their_shape_and_are_numbers():
     x[9, 2], x[12, 0] = np.inf, np.nan
     with pytest.raises(pc.ProtochainError) as refused:
         S.with_positions(x)
-    assert str(refused.value) == "ring: atom C of residue 3B CYS of chain A: its position is not a number"
+    assert str(refused.value) == "ring: atom C of A:CYS3B: its position is not a number"
     moved = S.with_positions(S.positions + 1.0)
     assert np.array_equal(moved.positions, S.positions + 1.0) and np.array_equal(moved.b_factor, S.b_factor)
     assert moved.topology is S.topology and moved.name == "ring"
@@ -206,10 +206,7 @@ def test_bonded_atoms_in_one_place_are_named():
         if refused:
             with pytest.raises(pc.ProtochainError) as error:
                 _refuse_coincident(Draft("x", "x"), owners, x, bonds)
-            assert (
-                str(error.value)
-                == "x: residue 4 GLY of chain A: atoms C and O coincide; correct their coordinates"
-            )
+            assert str(error.value) == "x: A:GLY4: atoms C and O coincide; correct their coordinates"
         else:
             _refuse_coincident(Draft("x", "x"), owners, x, bonds)
     _refuse_coincident(Draft("x", "x"), owners, np.zeros((3, 3)), bonds[:0])

@@ -154,7 +154,7 @@ def test_an_unknown_residue_of_a_racemate_is_named_and_the_other_chain_offered(t
     with pytest.raises(pc.ProtochainError) as refused:
         pc.load(path)
     said = str(refused.value)
-    assert said.startswith(f"{path}: residue 5 XQZ of chain B ") and said.endswith(' chains="A"')
+    assert said.startswith(f"{path}: B:XQZ5 ") and said.endswith(' chains="A"')
     assert pc.load(path, chains="A").n_residues == 20
     monkeypatch.setattr("sys.argv", ["protochain", "relax", str(path)])
     with pytest.raises(SystemExit) as ended:
@@ -200,20 +200,20 @@ def d_arginine(tmp_path, is_d, alone=False):
 @pytest.mark.parametrize(
     ("is_d", "alone", "said"),
     [
-        (True, False, "residue 42 DAR of chain A: D-amino acid, with the parameters of its mirror image"),
-        (False, False, "inverted stereocentres in the file: CA of residue 42 DAR of chain A"),
-        (True, True, "residue 1 DAR of chain I: no part of a chain: it is bonded to no other residue"),
-        (False, True, "residue 1 DAR of chain I: no part of a chain: it is bonded to no other residue"),
+        (True, False, "A:DAR42: D-amino acid, with the parameters of its mirror image"),
+        (False, False, "inverted stereocentres in the file: CA of A:DAR42"),
+        (True, True, "I:DAR1: no part of a chain: it is bonded to no other residue"),
+        (False, True, "I:DAR1: no part of a chain: it is bonded to no other residue"),
     ],
 )
 def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     s = pc.load(d_arginine(tmp_path, is_d, alone))
     told = [each for each in s.repairs if each.kind not in (Kind.STAYS_UNKNOWN, Kind.NEAR)]
-    named = [str(each) for each in told if "DAR of" in str(each)]
+    named = [str(each) for each in told if "DAR" in str(each)]
     assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
     wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).wrong(s.positions)]
-    assert wrong == ([] if is_d or alone else ["atom CA of residue 42 DAR of chain A"])
+    assert wrong == ([] if is_d or alone else ["atom CA of A:DAR42"])
 
 
 def test_a_modified_residue_alone_stays_as_it_is(tmp_path):
@@ -232,7 +232,7 @@ def test_a_modified_d_amino_acid_is_known_by_its_atoms(tmp_path):
     path.write_text(text.replace("DAR", "HAR"))
     s = pc.load(path)
     assert s.mirrored.tolist() == (s.residue_number == "42").tolist()
-    assert "residue 42 HAR of chain A: converted to its D-amino acid DAR" in sentences(s)
+    assert "A:HAR42: converted to its D-amino acid DAR" in sentences(s)
 
 
 def test_an_unknown_name_of_a_mirrored_residue_is_that_of_its_atoms(tmp_path):

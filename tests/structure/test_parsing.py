@@ -263,6 +263,6 @@ def test_positions_are_within_ten_micrometres(far, taken, chain):
     with pytest.raises(pc.ProtochainError) as refused:
         check(structure, "x")
     assert str(refused.value) == (
-        f"x: the position of atom CA of residue 2C ALA of chain {chain or '(blank)'} is not a number "
+        f"x: the position of atom CA of {chain and f'{chain}:'}ALA2C is not a number "
         "or beyond 100000 angstrom; correct it"
     )

@@ -85,7 +85,7 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
         Repair(Kind.BRIDGE, {"first": last, "second": first}),
     ]
     many = [repair(Kind.ATOMS_ADDED, ("A", f"{n}", "LYS"), atoms=("CE", f"N{n}")) for n in range(20)]
-    places = ", ".join(f"A:{n} LYS" for n in range(8))
+    places = ", ".join(f"A:LYS{n}" for n in range(8))
     given = [hydrogens, *changed, *lost, gap, waters, *many]
     assert summarised(given) == (
         *map(str, (waters, gap, *lost, *changed)),

@@ -93,7 +93,7 @@ def test_a_hydrogen_belongs_to_the_nearest_heavy_atom_and_takes_a_name_that_is_f
 def test_hydrogens_too_far_or_too_many_are_left_out_and_missing_ones_have_no_place():
     given = (("HO", 3.0, 1.501, 0.0), ("H1", 0, 1, 0), ("H2", 0, 1.1, 0), ("H3", 0, 1.2, 0), ("HN", 9, 1, 0))
     renamed, after, said = matched(*HEAVY, *given)
-    assert said == ["residue 1 XXX of chain A: hydrogens left out, not of its state: HO, H3, HN"]
+    assert said == ["A:XXX1: hydrogens left out, not of its state: HO, H3, HN"]
     assert [row[0] for row in after] == ["C1", "HA", "HB", "O1", "HO", "N1"] and renamed == 2
     assert after[1:3] == [("HA", 0, 1, 0, 50), ("HB", 0, 1.1, 0, 60)]
     assert np.isnan(after[4][1:4]).all() and after[4][4] == 20.0
@@ -148,8 +148,8 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
         "CALA",
     ]
     assert sentences(draft)[:3] == [
-        "residue 1 HIS of chain A modelled as HIP", "residue 2 ASP of chain A modelled as ASH",
-        "residue 6 GLU of chain A modelled as GLH",
+        "A:HIS1 modelled as HIP", "A:ASP2 modelled as ASH",
+        "A:GLU6 modelled as GLH",
     ]  # fmt: skip
     assert sentences(draft)[3].endswith("hydrogens added at pH 4.4 (0 were in the file)")
     ends = [member("ASP", 1, ("CA", 0.0, 0.0, 0.0)), member("HIS", 2, ("CA", 9.0, 0.0, 0.0))]
@@ -157,8 +157,8 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
     done = protonated(draft, 2.0)
     assert [template.name for _, template in done] == ["NASP", "CHIP"]
     assert sentences(draft)[:2] == [
-        "residue 1 ASP of chain A: kept in its usual state: the force field has no terminal ASH",
-        "residue 2 HIS of chain A modelled as HIP",
+        "A:ASP1: kept in its usual state: the force field has no terminal ASH",
+        "A:HIS2 modelled as HIP",
     ]
 
 

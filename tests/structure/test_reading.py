@@ -75,7 +75,7 @@ def test_bonded_residues_are_one_part_and_nothing_is_said():
     assert [(m.chain_id, m.number, m.insertion_code, m.state) for m in draft.members] == [
         ("A", "1", "", ""), ("A", "2", "B", "HIE"), ("A", "3", "", ""),
     ]  # fmt: skip
-    assert sentences(draft) == ["residue 2B HIE of chain A: read as HIS in protonation state HIE"]
+    assert sentences(draft) == ["A:HIE2B: read as HIS in protonation state HIE"]
     assert dict(draft.left_out) == {}
 
 
@@ -118,7 +118,7 @@ def test_bonds_to_symmetry_mates_are_named_and_are_none_of_the_model():
     draft = read_model(made)
     assert draft.stated == [] and kinds(draft) == [Kind.IMAGES]
     assert sentences(draft)[0].startswith("3 bonds of the file to symmetry mates")
-    assert sentences(draft)[0].endswith("of CA of residue 2 ALA of chain A")
+    assert sentences(draft)[0].endswith("of CA of A:ALA2")
 
 
 def test_a_file_without_a_protein_says_what_there_is():
@@ -159,11 +159,9 @@ def test_heavy_atoms_of_zero_occupancy_are_counted():
     made[0][4].occ = 0.0
     for k in (0, 5):
         made[1][k].occ = 0.0
-    assert sentences(taken(*made)) == ["2 atoms of zero occupancy kept, in residue 2 ALA of chain A"]
+    assert sentences(taken(*made)) == ["2 atoms of zero occupancy kept, in A:ALA2"]
     made[2][0].occ = 0.0
-    assert sentences(taken(*made)) == [
-        "3 atoms of zero occupancy kept, in residue 2 ALA of chain A and 1 more"
-    ]
+    assert sentences(taken(*made)) == ["3 atoms of zero occupancy kept, in A:ALA2 and 1 more"]
 
 
 def test_elements_of_amino_acids_and_caps_follow_their_names():
@@ -222,7 +220,7 @@ def test_modified_residues_become_their_parents():
 
 def test_an_unknown_amino_acid_is_refused_in_a_chain_and_left_out_alone():
     said = refused(residue("ALA", 1), residue("XQQ", 2), residue("ALA", 3))
-    assert "residue 2 XQQ of chain A is an unknown amino acid" in said
+    assert "A:XQQ2 is an unknown amino acid" in said
     draft = taken(*alanines(2), residue("XQQ", 9), residue("ALA", 20), residue("ALA", 21))
     assert names(draft) == [["ALA1", "ALA2"], ["ALA20", "ALA21"]]
     assert dict(draft.left_out) == {"XQQ": 1}
@@ -233,9 +231,9 @@ def test_a_residue_that_lacks_its_backbone_is_left_out():
     made = [*alanines(2), residue("ALA", 3, atoms=["CA", "O"]), residue("ALA", 4), residue("ALA", 5)]
     draft = taken(*made)
     assert names(draft) == [["ALA1", "ALA2"], ["ALA4", "ALA5"]]
-    assert sentences(draft)[0] == "residue 3 ALA of chain A: left out: its backbone atom N is missing"
+    assert sentences(draft)[0] == "A:ALA3: left out: its backbone atom N is missing"
     assert dict(draft.left_out) == {"incomplete residues": 1} and len(draft.repairs) == 2
-    assert "residue 3 ALA of chain A: atom N missing" in refused(*made, strict=True)
+    assert "A:ALA3: atom N missing" in refused(*made, strict=True)
 
 
 def apart(gap, second):
@@ -460,7 +458,7 @@ def test_a_molecule_of_thousands_of_atoms_is_refused(tmp_path):
     more = [at.format(f"C{k:03}" if k < 1000 else f"D{k - 1000:03}" if k < 2000 else f"E{k - 2000:03}",
             9.0 + 3.0 * (k % 50), 3.0 * (k // 50)) for k in range(2001)]  # fmt: skip
     (tmp_path / "x.pdb").write_text("\n".join([*(x for x in text if x[:4] == "ATOM"), *more, "END", ""]))
-    with pytest.raises(pc.ProtochainError, match="residue 1 LIG of chain B has 2001 atoms"):
+    with pytest.raises(pc.ProtochainError, match="B:LIG1 has 2001 atoms"):
         pc.load(tmp_path / "x.pdb", keep="all")
 
 

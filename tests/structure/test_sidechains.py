@@ -488,7 +488,7 @@ def test_wrong_hands_are_those_that_a_name_does_not_say():
     d_left, d_right = made("ALA", L_ALANINE, 3, is_d=True), made("ALA", mirrored(L_ALANINE), 4, is_d=True)
     glycine = made("GLY", {"CA": [0, 0, 0]}, 5)
     assert [str(atom) for atom in inverted_atoms([left, right, d_left, d_right, glycine])] == [
-        "CA of residue 2 ALA of chain A", "CA of residue 3 DAL of chain A",
+        "CA of A:ALA2", "CA of A:DAL3",
     ]  # fmt: skip
     assert listed([]) == "" and listed(list("abcdef")) == "a, b, c, d, e, f"
     assert listed(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
@@ -504,7 +504,7 @@ def test_changed_hands_are_found_atom_by_atom():
     for first, second in ((("9", "OG1"), ("9", "CG2")), (("17", "HA"), ("17", "CB"))):
         x[[at[first], at[second]]] = x[[at[second], at[first]]]
     assert changed_stereocentres(s, x, s.positions) == [
-        "CB of residue 9 THR of chain A", "CA of residue 17 VAL of chain A",
+        "CB of A:THR9", "CA of A:VAL17",
     ]  # fmt: skip
     assert changed_stereocentres(s, s.positions, s.positions) == [] and changed_stereocentres(s, x, x) == []
     assert len(changed_stereocentres(s, s.positions * [1, 1, -1], s.positions)) == (76 - 6) + 7 + 7

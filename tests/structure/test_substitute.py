@@ -108,7 +108,7 @@ def test_sequences_are_read_from_files_and_letters(tmp_path):
     [
         (("--sequence", "AAA"), "1 given, of -; its chains are A, B"),
         (("--sequence", "A=AAA"), "3 letters for chain A, which has 21 residues"),
-        (("--sequence", "A=" + "B" * 21), "'B' at residue 1 GLY of chain A"),
+        (("--sequence", "A=" + "B" * 21), "'B' at A:GLY1"),
         (("--sequence", "no.fasta"), "--sequence 'no.fasta': give a FASTA file"),
         (("--rebuild-side-chains", "resname ZZZ"), "selects no atom"),
         (("--rebuild-side-chains", "resname HOH", "--keep", "all"), "has no side chain"),

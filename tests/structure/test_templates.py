@@ -189,7 +189,7 @@ def test_a_draft_knows_its_residues_and_stated_bonds():
     assert carbon.pos.tolist() == [1.0, 2.0, 3.0] and carbon.b_iso == 4.0 and carbon.element.name == "C"
     assert second.atom("CB") is None and atom("H", "H", [0.0] * 3).b_iso == 0.0
     inserted = Member("ALA", "7", "B", "", [])
-    assert (inserted.seqid, str(inserted)) == ("7B", "residue 7B ALA of chain (blank)")
+    assert (inserted.seqid, str(inserted)) == ("7B", "ALA7B")
     assert [m.is_cap for m in members("ALA", "ACE", "NH2")] == [False, True, True]
 
 

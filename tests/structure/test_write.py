@@ -141,8 +141,7 @@ def test_coordinates_further_out_are_refused_with_the_atom(angstrom, axis, tmp_p
     with pytest.raises(pc.ProtochainError) as refused:
         pc.save(moved(angstrom, axis, 10), tmp_path / "x.pdb")
     assert str(refused.value) == (
-        f"{tmp_path}/x.pdb: the coordinates of atom SG of residue 3B CYS of chain A do not fit a PDB file; "
-        "write .cif"
+        f"{tmp_path}/x.pdb: the coordinates of atom SG of A:CYS3B do not fit a PDB file; write .cif"
     )
     assert list(tmp_path.iterdir()) == []
     pc.save(moved(angstrom, axis, 10), tmp_path / "x.mmcif")

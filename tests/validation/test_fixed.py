@@ -66,9 +66,7 @@ def test_a_bond_within_a_nucleotide_is_known_by_its_name(dodecamer, tmp_path):
     assert {*s.atom_name[pair].tolist()} == {"C4'", "C5'"}
     found = pc.validate(s)
     assert found.measures["fixed_broken_bonds"] == 1 and "1 broken bonds outside the protein" in repr(found)
-    assert any(
-        line.startswith("residue 5 DA of chain A: C5' to C4' broken (2.39") for line in found.listing()
-    )
+    assert any(line.startswith("A:DA5: C5' to C4' broken (2.39") for line in found.listing())
 
 
 def test_a_torn_strand_keeps_its_phosphate_and_is_said(dodecamer, tmp_path):
@@ -121,7 +119,7 @@ def test_the_end_of_a_relaxation_says_what_is_fixed_and_broken(dodecamer, tmp_pa
     s = loaded(dodecamer, tmp_path, [5], (0.0, 0.0, 1.5), ["C5'", "O5'", "P", "OP1", "OP2"])
     r = pc.relax(s, threads=1)
     assert r.status == "violations" and r.measures_end["violations"] == 0
-    at = "residue 5 DA of chain A"
+    at = "A:DA5"
     said = f"1 broken bond outside the protein: C5' of {at} and C4' of {at}, 2.39"
     assert r.message.startswith(f"violations: {said} angstrom apart; RMS force")
     assert r.message.endswith("; fixed, not relaxed: 8 DC, 8 DG, 4 DA, 4 DT")

@@ -262,7 +262,7 @@ def test_an_inhibitor_is_scored_in_its_pocket():
     ("first", "second", "said"),
     [
         ("A", "Q", "side 'Q' of an interface is no chain.*its chains are A, B"),
-        ("A", "A", "residue 1 GLY of chain A is on both sides"),
+        ("A", "A", "A:GLY1 is on both sides"),
         ("A,B", "B", "is on both sides"),
         ("A", "", "side '' of an interface is no chain"),
         ("A", "resname XYZ", "is no chain"),

@@ -269,7 +269,7 @@ def test_outliers_and_clashes_between_chains_are_named_by_residue():
         0.15 * (x[~is_b].mean(0) - x[is_b].mean(0)) / np.linalg.norm(x[~is_b].mean(0) - x[is_b].mean(0))
     )
     found, table = remains(s, x), pc.validate(s.with_positions(x)).residues
-    named = table.apply(lambda row: f"residue {row.residue} {row['name']} of chain {row.chain}", axis=1)
+    named = table.apply(lambda row: f"{row.chain}:{row['name']}{row.residue}", axis=1)
     assert found["rotamer_outlier_residues"] == named[table.rotamer_outlier].tolist()
     assert found["cbeta_outlier_residues"] == named[table.cbeta_deviation_angstrom >= 0.25].tolist()
     # Heavy atoms that are 2.4 angstrom apart and not bonded clash, whatever else does.
@@ -286,4 +286,4 @@ def test_outliers_and_clashes_between_chains_are_named_by_residue():
         for i, j in near
     }
     assert pairs and pairs <= {*found["clashes_between_chains"]}
-    assert all("chain A" in each and "chain B" in each for each in found["clashes_between_chains"])
+    assert all("A:" in each and "B:" in each for each in found["clashes_between_chains"])

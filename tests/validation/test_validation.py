@@ -81,15 +81,15 @@ def test_the_table_adds_up_to_the_numbers(spoilt):
 
 def test_what_is_wrong_is_said_of_each_residue(spoilt):
     lines = pc.validate(spoilt).listing()
-    of = {line.partition(":")[0]: line for line in lines}
+    of = {line.partition(": ")[0]: line for line in lines}
     assert len(of) == len(lines)
-    assert "cis peptide bond before it (omega " in of["residue 6 TRP of chain A"]
-    assert "CA inverted" in of["residue 8 LYS of chain A"]
-    assert "C-beta 0." in of["residue 14 SER of chain A"]
-    numbers = [int(line.split()[1]) for line in lines]
+    assert "cis peptide bond before it (omega " in of["A:TRP6"]
+    assert "CA inverted" in of["A:LYS8"]
+    assert "C-beta 0." in of["A:SER14"]
+    numbers = [int(place[5:]) for place in of]
     assert numbers == sorted(numbers)
     outliers = pc.validate(spoilt).residues.query("ramachandran == 'outlier'")["residue"].tolist()
-    assert [line.split()[1] for line in lines if "Ramachandran outlier (phi " in line] == outliers
+    assert [place[5:] for place, line in of.items() if "Ramachandran outlier (phi " in line] == outliers
     assert pc.validate(pc.from_sequence("GG")).listing() == []
 
 
@@ -128,7 +128,7 @@ def test_heavy_atoms_are_where_the_file_has_them_and_what_is_added_is_said():
     assert v.residues.query("atoms_added > 0")["residue"].tolist() == ["9"]
     codes = pc.validate(shared("1orc_icode.pdb"), keep="none")
     assert {"56A", "56E"} <= set(codes.residues["residue"]) and len(codes.residues) == 64
-    assert any(line.startswith("residue 56C GLU of chain A: ") for line in codes.listing())
+    assert any(line.startswith("A:GLU56C: ") for line in codes.listing())
 
 
 def test_ligands_are_no_residues_of_the_table():

@@ -366,4 +366,4 @@ def test_commands_report_such_a_bond_of_a_file(tmp_path, capsys):
     line = "CB of A:ALA3 to HB1, 1.45 angstrom long, not 1.09"
     assert f"violations: 1\n  covalent bond: {line}\n" in capsys.readouterr().out
     run("validate", path)
-    assert f"residue 3 ALA of chain A: violation: {line}" in capsys.readouterr().out
+    assert f"A:ALA3: violation: {line}" in capsys.readouterr().out

@@ -32,7 +32,7 @@ from protochain.structure.formats.ions import name_ions
 from protochain.structure.formats.pdb_text import add_elements, is_atom, join_segments, without_indents
 from protochain.structure.formats.records import of_cif, of_pdb
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.molecule.residues import STANDARD
+from protochain.structure.molecule.residues import STANDARD, Residue
 from protochain.structure.molecule.templates import standard_name
 
 MAX_MEGABYTES = 512
@@ -512,10 +512,8 @@ def check(structure: gemmi.Structure, source: str) -> None:
                     )
             x = place.atom.pos.tolist()
             if not all(map(isfinite, x)) or max(map(abs, x)) > _FARTHEST:
-                where = (
-                    f"atom {place.atom.name} of residue {place.residue.seqid} {place.residue.name} of chain"
-                )
+                residue = Residue(place.chain.name, str(place.residue.seqid), place.residue.name)
                 raise StructureError(
-                    f"{source}: the position of {where} {place.chain.name or '(blank)'} "
-                    f"is not a number or beyond {_FARTHEST:g} angstrom; correct it"
+                    f"{source}: the position of atom {place.atom.name} of {residue} is not a number or "
+                    f"beyond {_FARTHEST:g} angstrom; correct it"
                 )

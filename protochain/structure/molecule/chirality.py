@@ -67,7 +67,7 @@ def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
 
 
 def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the chiral atoms (``CA of residue 14 LYS of chain A``) differing between positions (na, 3), nm."""
+    """Name the chiral atoms (``CA of A:LYS14``) differing between positions (na, 3), nm."""
     atoms = chiral_atoms(structure)
     if not len(atoms):
         return []

@@ -343,7 +343,7 @@ class Structure(Value):
         return summarised(self.repairs)
 
     def describe_residue(self, residue: int) -> str:
-        """Describe a residue: ``residue 17 GLU of chain A``."""
+        """Describe a residue: ``A:GLU17``."""
         return str(self.residue(residue))
 
     def residue(self, residue: int) -> Residue:
@@ -353,7 +353,7 @@ class Structure(Value):
         return Residue(str(self.residue_chain[residue]), number, name)
 
     def describe(self, atom: int) -> str:
-        """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""
+        """Describe an atom: ``atom CG of A:GLU17``."""
         return f"atom {self.atom(atom)}"
 
     def atom(self, atom: int) -> Atom:

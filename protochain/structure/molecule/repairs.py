@@ -414,6 +414,38 @@ def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
     )
 
 
+_ACTION = frozenset({
+    Kind.NOT_A_NUMBER, Kind.BLOCKS_LEFT_OUT, Kind.NO_END, Kind.EXCLUDED, Kind.COINCIDENT, Kind.NO_BACKBONE,
+    Kind.TORN, Kind.GAP, Kind.BOND_IGNORED, Kind.NEAR, Kind.STAYS_UNKNOWN, Kind.NO_PARAMETERS,
+    Kind.CHARGE_UNSURE, Kind.INVERTED, Kind.OTHER_ANOMER, Kind.SUGAR_INVERTED, Kind.NUCLEOTIDES_STAY,
+    Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED,
+})  # fmt: skip
+
+
+def needs_action(repair: Repair) -> bool:
+    """Whether a user should check a change, and perhaps correct the file."""
+    return repair.kind in _ACTION
+
+
+def counts_of_changes(repairs: Iterable[Repair]) -> str:
+    """Count in one line what was added to a file, kept with the protein and removed."""
+    of: dict[Kind, list[Mapping[str, Any]]] = defaultdict(list)
+    for repair in repairs:
+        of[repair.kind].append(repair.facts)
+    completed = len(of[Kind.ATOMS_ADDED]) + len(of[Kind.OXT_ADDED])
+    molecules = [count for facts in of[Kind.LEFT_OUT] for count in facts["counts"]]
+    kept = [
+        str(count) for kind in (Kind.KEPT, Kind.KEPT_BY_ELEMENT) for f in of[kind] for count in f["counts"]
+    ]
+    added = [counted(facts["count"], "hydrogen") for facts in of[Kind.HYDROGENS_ADDED]]
+    added += [f"missing atoms of {counted(completed, 'residue')}"] if completed else []
+    removed = [counted(facts["count"], "water") for facts in of[Kind.WATERS_LEFT_OUT]]
+    removed += [f"{count.n} {count.kind}" for count in molecules]
+    removed += [f"altlocs of {counted(len(of[Kind.ALTERNATES]), 'residue')}"] if of[Kind.ALTERNATES] else []
+    parts = (added, "added"), (kept, "kept"), (removed, "removed")
+    return "; ".join(f"{listed(names, _SHOWN)} {verb}" for names, verb in parts if names)
+
+
 def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
     """Rank of a repair in the summary, and what it says, alike for those in one line."""
     one, many, rank = repair.kind.value
@@ -442,7 +474,7 @@ def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
             f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"
         )
-    places = [f"{each.place} {each.name}" for each in (repair.facts["residue"] for repair in alike)]
+    places = [str(repair.facts["residue"]) for repair in alike]
     return f"{what} in {len(places)} residues: {listed(places, _SHOWN)}"
 
 

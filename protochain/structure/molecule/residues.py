@@ -139,14 +139,14 @@ def name_in_file(name: str, is_d: bool) -> str:
 
 @dataclass(frozen=True)
 class Residue:
-    """A residue by what a file calls it; its text is ``residue 17 GLU of chain A``."""
+    """A residue by what a file calls it; its text is ``A:GLU17``."""
 
     chain: str  # Empty for a chain without an id.
     number: str  # With its insertion code.
     name: str
 
     def __str__(self) -> str:
-        return f"residue {self.number} {self.name} of chain {self.chain_name}"
+        return self.label
 
     @property
     def chain_name(self) -> str:
@@ -160,13 +160,14 @@ class Residue:
 
     @property
     def label(self) -> str:
-        """Chain, name and number: ``A:GLU17``."""
-        return f"{self.chain}:{self.name}{self.number}" if self.chain else f"{self.name}{self.number}"
+        """Chain, name and number: ``A:GLU17``; ``A:SO4 301`` if the name ends in a digit."""
+        name = f"{self.name} " if self.name[-1:].isdigit() else self.name
+        return f"{self.chain}:{name}{self.number}" if self.chain else f"{name}{self.number}"
 
 
 @dataclass(frozen=True)
 class Atom:
-    """An atom of a residue; its text is ``CG of residue 17 GLU of chain A``."""
+    """An atom of a residue; its text is ``CG of A:GLU17``."""
 
     name: str
     residue: Residue
