@@ -73,14 +73,25 @@ def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..
     # An option of two classes is given to both; one that the command has itself is its own.
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         parameters = inspect.signature(command).parameters.values()
-        own = [each for each in parameters if each.kind is not each.KEYWORD_ONLY]
-        kinds = {each.name: each.annotation for each in parameters if each.kind is each.KEYWORD_ONLY}
+        positional = [
+            parameter_field
+            for parameter_field in parameters
+            if parameter_field.kind is not parameter_field.KEYWORD_ONLY
+        ]
+        kinds = {
+            parameter_field.name: parameter_field.annotation
+            for parameter_field in parameters
+            if parameter_field.kind is parameter_field.KEYWORD_ONLY
+        }
         options: dict[str, inspect.Parameter] = {}
         for parameter, kind in kinds.items():
-            left_out = {*without.get(parameter, "").split(), *(each.name for each in own)}
-            for each in fields(kind):
-                for option in _options(each):
-                    if each.name not in left_out:
+            left_out = {
+                *without.get(parameter, "").split(),
+                *(parameter_field.name for parameter_field in positional),
+            }
+            for parameter_field in fields(kind):
+                for option in _options(parameter_field):
+                    if parameter_field.name not in left_out:
                         options.setdefault(option.name, option)
 
         @wraps(command)
@@ -88,7 +99,7 @@ def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..
             chosen = {name: given.pop(name) for name in options}
             command(**given, **{name: _made(kind, chosen) for name, kind in kinds.items()})
 
-        run.__signature__ = inspect.Signature([*own, *options.values()])  # type: ignore[attr-defined]  # known at run time only
+        run.__signature__ = inspect.Signature([*positional, *options.values()])  # type: ignore[attr-defined]  # known at run time only
         return run
 
     return decorate
@@ -118,22 +129,24 @@ def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) ->
 def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
     """Settings made of options; those that are not given keep their defaults. None without what they need."""
     given = {}
-    for name, its in settings_of(kind):
+    for name, setting in settings_of(kind):
         value: Any = options.get(name)
-        if its.turns_off and name in options:
+        if setting.turns_off and name in options:
             value = not value
-        if its.word and options.get(its.word[0]):
-            value = [its.word[2], *(value or ())]
+        if setting.word and options.get(setting.word[0]):
+            value = [setting.word[2], *(value or ())]
         if value not in (None, []):
-            given[name] = its.read(value) if its.read else value
-    usual = {each.name: each.default for each in fields(kind)}  # type: ignore[arg-type]  # a dataclass
-    known = dict(settings_of(kind))
-    needed = [name for name in known if usual[name] is MISSING and name not in given]
+            given[name] = setting.read(value) if setting.read else value
+    usual = {setting_field.name: setting_field.default for setting_field in fields(kind)}  # type: ignore[arg-type]  # a dataclass
+    settings_by_name = dict(settings_of(kind))
+    needed = [name for name in settings_by_name if usual[name] is MISSING and name not in given]
     if not needed:
         return kind(**given)
     for name, value in given.items():
         if value != usual[name]:
-            of, what = (known[each].names(each)[0] for each in (name, needed[0]))
+            of, what = (
+                settings_by_name[setting_field].names(setting_field)[0] for setting_field in (name, needed[0])
+            )
             raise ProtochainError(f"{of}: needs {what}; give it too, or leave this out")
     return None
 
@@ -215,11 +228,11 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     print_changes(source, structure)
     for line in said_of_move(structure, setup.move, chain):
         print(f"{source}: {line}", file=sys.stderr)
-    found = overlaps(structure, structure.positions, chain)
-    for overlap in found[:_SHOWN_OVERLAPS]:
+    overlapping = overlaps(structure, structure.positions, chain)
+    for overlap in overlapping[:_SHOWN_OVERLAPS]:
         print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
-    if len(found) > _SHOWN_OVERLAPS:
-        print(f"{source}: and {counted(len(found) - _SHOWN_OVERLAPS, 'more overlap')}", file=sys.stderr)
+    if len(overlapping) > _SHOWN_OVERLAPS:
+        print(f"{source}: and {counted(len(overlapping) - _SHOWN_OVERLAPS, 'more overlap')}", file=sys.stderr)
     return chain, energy, perf_counter() - began
 
 
@@ -231,15 +244,15 @@ def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None
     if move == defaults.MOVE:
         return []
     free = moving(structure, move)
-    rest = f"the other {_counted(structure, ~free)} are fixed"
+    fixed = f"the other {_count_text(structure, ~free)} are fixed"
     if chain is None:
-        return [f"{_counted(structure, free)} move, {rest}"]
+        return [f"{_count_text(structure, free)} move, {fixed}"]
     hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
-    turned = f"{hinges}, which moves {_counted(structure, turned_atoms(chain))}"
-    return [f"{turned}; where all atoms move, {_counted(structure, free)} do, and {rest}"]
+    turned = f"{hinges}, which moves {_count_text(structure, turned_atoms(chain))}"
+    return [f"{turned}; where all atoms move, {_count_text(structure, free)} do, and {fixed}"]
 
 
-def _counted(structure: "Structure", atoms: Any) -> str:
+def _count_text(structure: "Structure", atoms: Any) -> str:
     residues = len({*structure.atom_residue[atoms].tolist()})
     return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
 
@@ -312,21 +325,25 @@ def has_poses(setup: Setup) -> bool:
 
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
     """Name, path and setup of each structure."""
-    given = [each for each in inputs if each != "-"]
+    path_names = [path_given for path_given in inputs if path_given != "-"]
     poses = has_poses(setup)
-    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str) and not poses:
-        found = [(each, Path(each), setup) for each in given]
+    if (
+        all(Path(path_given).is_file() for path_given in path_names)
+        and not isinstance(setup.model, str)
+        and not poses
+    ):
+        files = [(path_given, Path(path_given), setup) for path_given in path_names]
     else:
         # Only here, as it takes a second to load.
         from protochain.batches.jobs import BatchSettings, find_jobs
 
-        jobs = find_jobs(given, BatchSettings(setup=setup))
+        jobs = find_jobs(path_names, BatchSettings(setup=setup))
         paths = [_name(job.path) for job in jobs]
-        found = [
+        files = [
             (job.name if poses else path, Path(path), job.settings.setup)
             for job, path in zip(jobs, paths, strict=True)
         ]
-    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
+    return files + [("standard input", Path("-"), setup)] * (len(path_names) < len(inputs))
 
 
 def is_one_file(given: str) -> bool:
@@ -350,20 +367,20 @@ def check_outputs(
     from protochain.core.storage import check_writable
     from protochain.structure.preparation.prepare import user_files
 
-    inputs = [*(Path(each) for each in reads if each), *(user_files(setup.forcefield) if setup else ())]
+    inputs = [*(Path(source) for source in reads if source), *(user_files(setup.forcefield) if setup else ())]
     outputs = [Path(path) for path in writes if path and str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")
     for output in outputs:
-        same = output.exists() and any(each.exists() and output.samefile(each) for each in inputs)
+        same = output.exists() and any(source.exists() and output.samefile(source) for source in inputs)
         if same and not force:
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
-    if there := [str(output) for output in outputs if replaces and output.is_file()]:
-        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        print(f"{there[0]}{more}: there already, will be replaced", file=sys.stderr)
+    if existing := [str(output) for output in outputs if replaces and output.is_file()]:
+        further = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
+        print(f"{existing[0]}{further}: there already, will be replaced", file=sys.stderr)
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
@@ -426,8 +443,8 @@ def written(
     from protochain.structure.formats.confidences import copy_confidences
 
     if not result.is_usable:
-        why = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"
-        raise SystemExit(fail(why))
+        reason = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"
+        raise SystemExit(fail(reason))
     write()
     with part("measuring"):
         record = {**result.record(), **more}

@@ -69,11 +69,11 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
 
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
-    mine = np.unique(structure.atom_residue[~structure.kept])
-    _, first = np.unique(structure.residue_chain_index[mine], return_index=True)
-    n = len(first) - len({*structure.residue_chain[mine[first]].tolist()})
-    said = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
-    return [said] if n > 0 else []
+    residues = np.unique(structure.atom_residue[~structure.kept])
+    _, first = np.unique(structure.residue_chain_index[residues], return_index=True)
+    n = len(first) - len({*structure.residue_chain[residues[first]].tolist()})
+    sentence = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
+    return [sentence] if n > 0 else []
 
 
 def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
@@ -92,10 +92,10 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)
-    wide = max(len(what) for what, _, _ in rows)
+    wide = max(len(label) for label, _, _ in rows)
     print(f"{'':{wide}} {'before':>12} {'after':>12}")
-    for what, before, after in rows:
-        print(f"{what:{wide}} {before:>12} {after:>12}")
+    for label, before, after in rows:
+        print(f"{label:{wide}} {before:>12} {after:>12}")
     rounds = record["n_rounds"]
     rmsd = record["ca_rmsd_angstrom"]
     moved = (
@@ -115,7 +115,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     if turned := (*result.stereocentres_corrected, *result.peptides_turned):
         stated.insert(1, "; ".join(summarised(turned)))
     stated += remains_in_words(record)
-    print("\n".join(line for each in stated for line in textwrap.wrap(each, _WIDTH)))
+    print("\n".join(line for statement in stated for line in textwrap.wrap(statement, _WIDTH)))
     print_violations(record)
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
@@ -141,9 +141,9 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             f"{row.structure} ({row.overlaps_beside_start:.0f} pairs, {row.overlaps_beside_end:.0f} left)"
             for row in near.head(_SHOWN).itertuples()
         ]
-        more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
-        what = "structures overlapped with molecules kept with the protein"
-        print(f"{len(near)} of {len(table)} {what}: {', '.join(noted)}{more}")
+        further = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
+        label = "structures overlapped with molecules kept with the protein"
+        print(f"{len(near)} of {len(table)} {label}: {', '.join(noted)}{further}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
         print(f"{row.structure}: {row.message}")

@@ -77,7 +77,7 @@ def score(
     from protochain.structure.matching import measurable
     from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
-    known = {**SCORES, **MAKEUP, **CONFIDENCES}
+    measures = {**SCORES, **MAKEUP, **CONFIDENCES}
     reads = [reference] if reference else []
 
     def task() -> "Task":
@@ -93,7 +93,7 @@ def score(
         alone="resume", workers=workers, resume=resume, as_json=as_json, reads=reads,
     )  # fmt: skip
     if rank is not None:
-        refuse_unknown(rank, "rank", known)
+        refuse_unknown(rank, "rank", measures)
     options.check_page(report)
     files = options.files_of(inputs, setup)
     options.check_outputs([*reads, *(path for _, path, _ in files)], [csv, residues, report], setup)
@@ -106,28 +106,42 @@ def score(
         from protochain.batches.scoring import ScoreJob, score_files
 
         origin = measurable(reference) if reference else None
-        jobs = [ScoreJob(*each, (*(interface or ()),), relax, origin) for each in files]
+        jobs = [ScoreJob(*job_file, (*(interface or ()),), relax, origin) for job_file in files]
         results = score_files(jobs, processes)
-    found: list[tuple[dict[str, Any], Interface | None]] = [
+    scores: list[tuple[dict[str, Any], Interface | None]] = [
         (refused(result, file=name), None)
         if isinstance(result, str)
         else ({"file": name, **result.record(), "message": ""}, result)
         for name, result in results
     ]
     if rank:
-        found.sort(key=lambda each: _place(each[0].get(rank), known[rank].better))
-    rows, good = [row for row, _ in found], [(row, its) for row, its in found if its]
+        scores.sort(key=lambda job_file: _place(job_file[0].get(rank), measures[rank].better))
+    rows, scored_rows = (
+        [row for row, _ in scores],
+        [(row, interface_scores) for row, interface_scores in scores if interface_scores],
+    )
     crowded = False
-    for structure in {id(its.structure): its.structure for _, its in good}.values():
+    for structure in {
+        id(interface_scores.structure): interface_scores.structure for _, interface_scores in scored_rows
+    }.values():
         if n := len(overlapping(structure, structure.positions)[0]):
             crowded = True
-            what = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
-            print(f"{structure.name}: {what}; relax first, with --relax", file=sys.stderr)
-    of_residues = [its.residues.assign(file=row["file"], interface=its.name) for row, its in good]
+            problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
+            print(f"{structure.name}: {problem}; relax first, with --relax", file=sys.stderr)
+    of_residues = [
+        interface_scores.residues.assign(file=row["file"], interface=interface_scores.name)
+        for row, interface_scores in scored_rows
+    ]
     if report:
         from protochain.comparison.scored import write_scored
 
-        write_scored([its for _, its in good], [row for row, _ in good], report, setup, rank or "")
+        write_scored(
+            [interface_scores for _, interface_scores in scored_rows],
+            [row for row, _ in scored_rows],
+            report,
+            setup,
+            rank or "",
+        )
     conclude(
         rows, {csv: lambda: table_of(rows), residues: lambda: joined(of_residues)}, _print, as_json,
         [report] if report else [], not crowded, interface=interface, rank=rank, solvent=setup.solvent,

@@ -69,17 +69,23 @@ def simulate(
     times = (TROUBLED if troubled else 1) if relax else 0
     foretell_both(source, chain, energy, running.n_steps, times)
     context.with_resource(held_interrupts())
-    q = _relaxed(source, chain, energy, simulation) if relax else chain.q0
+    q = _relax_start(source, chain, energy, simulation) if relax else chain.q0
     with simulation_progress(source.stem, running.n_steps, simulation.time_step) as watch:
-        done = run(chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation))
-    beside = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+        simulation_run = run(
+            chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation)
+        )
+    outputs = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
     page = output / "report.html"
-    if done.is_sound and done.trajectory is not None and (done.n_steps or not page.exists()):
+    if (
+        simulation_run.is_sound
+        and simulation_run.trajectory is not None
+        and (simulation_run.n_steps or not page.exists())
+    ):
         from protochain.comparison.simulated import write_simulated
 
-        record = done.record()
-        write_simulated(chain.structure, done.trace, record, done.trajectory, page)
-    _end(done, beside, as_json)
+        record = simulation_run.record()
+        write_simulated(chain.structure, simulation_run.trace, record, simulation_run.trajectory, page)
+    _end(simulation_run, outputs, as_json)
 
 
 def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
@@ -95,10 +101,10 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     raise typer.Exit(options.CONVERGED if done.ending == "completed" else options.INTERRUPTED)
 
 
-def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
+def _relax_start(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
     relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
-    kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
-    print(f"{source}: {stated}{kept}", file=sys.stderr)
+    loops_note = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
+    print(f"{source}: {stated}{loops_note}", file=sys.stderr)
     return relaxed.q

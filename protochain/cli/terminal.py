@@ -194,17 +194,17 @@ def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int,
     x = chain.structure.positions
     # The first call loads kernels and makes neighbour lists. The quickest counts: others may wait for a core.
     energy(x)
-    each = math.inf
+    seconds = math.inf
     for _ in range(2):
         began = monotonic()
         energy(x)
-        each = min(each, monotonic() - began)
-        if each * evaluations < _LONG:
+        seconds = min(seconds, monotonic() - began)
+        if seconds * evaluations < _LONG:
             return
     usual = f"typically {evaluations} of at most {most}" if evaluations < most else f"at most {most}"
     print(
-        f"{source}: {chain.n_atoms} atoms, {each:.2g} s an energy, {usual} evaluations: "
-        f"about {_clock(each * evaluations)}",
+        f"{source}: {chain.n_atoms} atoms, {seconds:.2g} s an energy, {usual} evaluations: "
+        f"about {_clock(seconds * evaluations)}",
         file=sys.stderr,
     )
 
@@ -219,12 +219,12 @@ def _clock(seconds: float) -> str:
 @contextmanager
 def frames_progress(name: str, total: int) -> Iterator["Watch"]:
     """Show how many frames are done, and the time left; the first that cannot be used, by name."""
-    progress, told = _Progress(name, total, total), list[str]()
+    progress, lines = _Progress(name, total, total), list[str]()
 
     def watch(done: int, failed: int, last: "FrameResult") -> None:
-        if last.structure is None and len(told) < _SHOWN_FAILURES:
-            told.append(str(last.record["message"]))
-            progress.say(told[-1] + ("; more are in the table" if len(told) == _SHOWN_FAILURES else ""))
+        if last.structure is None and len(lines) < _SHOWN_FAILURES:
+            lines.append(str(last.record["message"]))
+            progress.say(lines[-1] + ("; more are in the table" if len(lines) == _SHOWN_FAILURES else ""))
         progress.show(done, f"{done} of {total} frames, {failed} failed")
 
     with progress.bar:
@@ -261,10 +261,10 @@ def print_search(done: "Search", output: object) -> None:
     print(f"  {done.agreement}")
     for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
         free = row["free_energy_kj_mol"]
-        rest = "" if math.isnan(free) else f", free energy {free:+.2f}"
-        named = f", {row['conformer']}" if row["conformer"] else ""
+        free_energy = "" if math.isnan(free) else f", free energy {free:+.2f}"
+        conformer = f", {row['conformer']}" if row["conformer"] else ""
         print(
-            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{rest}{named}, "
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{free_energy}{conformer}, "
             f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
         )
     for row in done.populations.to_dict("records"):
@@ -309,13 +309,16 @@ def print_simulation(record: dict[str, Any]) -> None:
     """Print a short summary of a simulation."""
     drift = record["conserved_drift_kj_mol_ps_per_100_atoms"]
     drifts = "" if drift is None else f", conserved energy drifts {drift:.2g} kJ/mol/ps for 100 atoms"
-    kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
+    acceptance = (
+        "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
+    )
     speed = record["ns_per_day"]
-    done = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
+    rate = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
     print(
-        f"{record['structure']}: {record['message']}, {done}\n"
-        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
-        f"{_pulled(record)}"
+        f"{record['structure']}: {record['message']}, {rate}\n"
+        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half"
+        f"{drifts}{acceptance}\n"
+        f"{_pulling_line(record)}"
         f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"
         f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
         f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}"
@@ -325,7 +328,7 @@ def print_simulation(record: dict[str, Any]) -> None:
     print(f"written: {record['output']}")
 
 
-def _pulled(record: dict[str, Any]) -> str:
+def _pulling_line(record: dict[str, Any]) -> str:
     """Line on what was pulled, if anything was."""
     if record.get("pull") is None:
         return ""
@@ -369,9 +372,9 @@ def print_table(records: list[dict[str, Any]]) -> None:
 def print_timings(record: dict[str, Any]) -> None:
     """Print seconds by part and their sum, and what share of the loop is serial."""
     parts = {name: seconds for name, seconds in record["timings"].items() if name in PARTS}
-    whole = sum(parts.values())
-    for name, seconds in {**parts, "all": whole}.items():
-        print(f"{name:12}{seconds:9.3f} s{seconds / whole:6.0%}")
+    total = sum(parts.values())
+    for name, seconds in {**parts, "all": total}.items():
+        print(f"{name:12}{seconds:9.3f} s{seconds / total:6.0%}")
     if (serial := record["timings"]["serial_share_of_loop"]) is not None:
         print(f"{record['evaluations']} evaluations; {serial:.0%} of the loop is serial")
 
@@ -421,10 +424,10 @@ def print_batch(table: "DataFrame", report: str) -> None:
         counts = ", ".join(f"{n} {status}" for status, n in rows["status"].value_counts().items())
         usable = rows[rows["output"].notna()]
         rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
-        rest = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
-        rest = f"; {mended(usable)}{rest}" if rest and method == RELAX else rest
-        rest += ligands_moved(usable)
-        console.print(f"{method}: {counts}{rest}", markup=False, highlight=False)
+        summary = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
+        summary = f"; {mended(usable)}{summary}" if summary and method == RELAX else summary
+        summary += ligands_moved(usable)
+        console.print(f"{method}: {counts}{summary}", markup=False, highlight=False)
     unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
     failed = table[table["output"].isna() | unmended].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():
