@@ -22,20 +22,22 @@ def keep_settings(
 ) -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones."""
     path = folder / NAME
-    settings, own = _plain(common), _of_structures(common, jobs)
+    settings, records = _plain(common), _of_structures(common, jobs)
     if path.exists():
-        before, known = _read(path)
+        before, recorded = _read(path)
         _refuse_others(folder, "", before, settings)
-        for structure in known.keys() & own.keys():
-            for given in known[structure]:
-                if given not in own[structure]:
-                    _refuse_others(folder, f" for {structure}", before | given, before | own[structure][0])
-        own = known | own
+        for structure in recorded.keys() & records.keys():
+            for record in recorded[structure]:
+                if record not in records[structure]:
+                    _refuse_others(
+                        folder, f" for {structure}", before | record, before | records[structure][0]
+                    )
+        records = recorded | records
     elif _holds_results(folder / table):
         raise ProtochainError(
             f"{folder}: holds results without {NAME}: their settings are not known; give another folder"
         )
-    text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
+    text = json.dumps({"settings": settings, "structures": records}, indent=1, allow_nan=False)
     write_text(path, text)
 
 
@@ -67,14 +69,16 @@ def _plain(settings: BatchSettings) -> dict[str, Any]:
 def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
     """What each structure has other than the common settings; several where a manifest names it again."""
     usual = _plain(common)
-    found: dict[str, list[dict[str, Any]]] = {}
+    records: dict[str, list[dict[str, Any]]] = {}
     for job in jobs:
         model = job.settings.setup.model
         name = str(job.path) if model is None else f"{job.path}, model {model}"
-        its = {} if job.settings is common else _plain(job.settings)
-        other = {key: value for key, value in its.items() if key != "model" and value != usual.get(key)}
-        found.setdefault(name, []).append(other)
-    return found
+        own_settings = {} if job.settings is common else _plain(job.settings)
+        changes = {
+            key: value for key, value in own_settings.items() if key != "model" and value != usual.get(key)
+        }
+        records.setdefault(name, []).append(changes)
+    return records
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
@@ -101,14 +105,14 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
 def _differing(name: str, old: Any, new: Any) -> str:
     """How a setting differs, in words."""
     if old in (None, ""):
-        return f"without {name}, which is {_said(new)} now"
-    return f"with {name} {_said(old)}, " + (
-        "which is not given now" if new in (None, "") else f"not {_said(new)}"
+        return f"without {name}, which is {_text_of(new)} now"
+    return f"with {name} {_text_of(old)}, " + (
+        "which is not given now" if new in (None, "") else f"not {_text_of(new)}"
     )
 
 
-def _said(value: Any) -> str:
+def _text_of(value: Any) -> str:
     """A setting in words: no disulfides are other than none stated, which are found."""
     if isinstance(value, list):
-        return ",".join(map(_said, value)) or "none"
+        return ",".join(map(_text_of, value)) or "none"
     return str(value)

@@ -166,14 +166,14 @@ def batch(
     >>> pc.batch(["structures/ala10.pdb"], "out", methods="lbfgs", workers=1)
     <Batch in out: 1 converged>
     """
-    whole = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
-    given = [str(path(each, "inputs")) for each in whole]
+    sources = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
+    paths = [str(path(source, "inputs")) for source in sources]
     names = [field.name for field in fields(Processes)]
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
     common = BatchSettings(tuple(methods)).changed(**settings)
     at = Path(output), Path(manifest) if manifest else None
-    return run_batch(given, common, *at, resume, processes, watch, force=force)
+    return run_batch(paths, common, *at, resume, processes, watch, force=force)
 
 
 def relax_files(
@@ -243,10 +243,10 @@ def run_batch(
 ) -> Batch:
     """Find the structures, run those that are not finished; write tables, structures and pages."""
     jobs = find_jobs(inputs, common, manifest, folder, earlier_rows(folder, name) if resume else ())
-    other = next((job for job in jobs if job.settings.methods != common.methods), None)
-    if other and name != SUMMARY:
+    differing = next((job for job in jobs if job.settings.methods != common.methods), None)
+    if differing and name != SUMMARY:
         raise ProtochainError(
-            f"{manifest}: {other.path}: methods {','.join(other.settings.methods)}: {name}.csv is of "
+            f"{manifest}: {differing.path}: methods {','.join(differing.settings.methods)}: {name}.csv is of "
             f"{','.join(common.methods)} alone; protochain batch takes a manifest with methods"
         )
     scores = any(RELAX in job.settings.methods and job.settings.relaxing.interface for job in jobs)
@@ -255,12 +255,12 @@ def run_batch(
     try:
         tables.check()
         keep_settings(folder, common, jobs, tables.summary.name)
-        done = tables.finished(jobs)
-        todo = [job for job in jobs if job.identity not in done]
+        finished_keys = tables.finished(jobs)
+        todo = [job for job in jobs if job.identity not in finished_keys]
         interrupted = False
         if todo:
             with at_work(processes) as workers:
-                interrupted = _work(workers, todo, tables, processes, len(done), watch)
+                interrupted = _work(workers, todo, tables, processes, len(finished_keys), watch)
         with held_interrupts():
             tables.sort(jobs)
             _finish(tables, jobs)
@@ -280,7 +280,7 @@ def _work(
     began = perf_counter()
     waiting, window = iter(todo), _Window(workers)
     running, folder = Submitted(workers, processes), tables.folder.absolute()
-    done = failed = 0
+    n_done = failed = 0
     try:
         while True:
             for job in islice(waiting, max(0, window.size() - len(running))):
@@ -293,12 +293,12 @@ def _work(
             with held_interrupts() as interrupts:
                 rows = _rows(future, task)
                 tables.append(rows)
-            done += 1
+            n_done += 1
             failed += all("output" not in row.record for row in rows)
             if watch:
                 total = skipped + len(todo)
                 seconds = perf_counter() - began
-                watch(BatchProgress(total, done, failed, skipped, seconds, workers.dashboard, _line(rows)))
+                watch(BatchProgress(total, n_done, failed, skipped, seconds, workers.dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
     except KeyboardInterrupt:
@@ -344,8 +344,8 @@ class _Window:
 def _rows(future: Any, task: Task) -> list[Row]:
     """Return the rows of a job, or rows with the error of its worker."""
     error = future.exception()
-    said = f"no worker finished this structure: {error}"
-    rows: list[Row] = task.lost([], "killed", said, 0.0) if error else future.result()
+    message = f"no worker finished this structure: {error}"
+    rows: list[Row] = task.lost([], "killed", message, 0.0) if error else future.result()
     return rows
 
 

@@ -89,7 +89,7 @@ def at_work(processes: Processes) -> Iterator[Workers]:
         with crew(processes.count) as executor:
             yield Workers(executor.submit, lambda: processes.count)
     else:
-        with _connected(processes.scheduler) as client:
+        with _connect(processes.scheduler) as client:
             yield Workers(
                 partial(client.submit, pure=False),
                 lambda: sum(client.nthreads().values()),
@@ -158,8 +158,8 @@ def reason(error: Exception, path: object = "") -> tuple[str, str]:
 @contextmanager
 def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
     """File, for as long as it is needed, of values that all processes read."""
-    with tempfile.TemporaryDirectory(".part", temporary_stem(), folder) as own:
-        path = Path(own).absolute() / "task.pickle"
+    with tempfile.TemporaryDirectory(".part", temporary_stem(), folder) as shared_folder:
+        path = Path(shared_folder).absolute() / "task.pickle"
         try:
             with writing(path):
                 path.write_bytes(pickle.dumps(values))
@@ -178,7 +178,7 @@ def unpickled(path: Path) -> Any:
 
 
 @contextmanager
-def _connected(scheduler: str) -> Iterator["Client"]:
+def _connect(scheduler: str) -> Iterator["Client"]:
     # Half a second that batches on this machine do without.
     dask = library("distributed", "cluster")
     try:
@@ -206,11 +206,12 @@ def _await_workers(client: "Client", scheduler: str) -> None:
 
 def _check_versions(client: "Client", scheduler: str) -> None:
     """Refuse workers with another version of protochain."""
-    own = version("protochain")
-    for worker, theirs in client.run(_version).items():
-        if theirs != own:
+    local_version = version("protochain")
+    for worker, worker_version in client.run(_version).items():
+        if worker_version != local_version:
             raise ProtochainError(
-                f"scheduler {scheduler}: worker {worker} has protochain {theirs}, and here is {own}; "
+                f"scheduler {scheduler}: worker {worker} has protochain {worker_version}, and here is "
+                f"{local_version}; "
                 "install one version everywhere"
             )
 

@@ -104,16 +104,22 @@ def cluster_frames(
     import pandas as pd
 
     setup = Setup(**settings)
-    ensemble, its = ensemble_of(top, frames, select, setup)
-    if not 0 < len(its) <= _MOST:
-        raise ProtochainError(f"{its.source}: {len(its)} frames; give 1 to {_MOST}, as every tenth by ::10")
-    structure, numbers = ensemble.structure, [*its.chosen]
+    ensemble, frames_read = ensemble_of(top, frames, select, setup)
+    if not 0 < len(frames_read) <= _MOST:
+        raise ProtochainError(
+            f"{frames_read.source}: {len(frames_read)} frames; give 1 to {_MOST}, as every tenth by ::10"
+        )
+    structure, numbers = ensemble.structure, [*frames_read.chosen]
     alpha, atoms = structure.alpha_carbons, np.flatnonzero(chosen(structure, measure))
     fours = _backbone(structure) if by == "torsions" else np.empty((0, 4), dtype=np.int64)
     if by == "torsions" and not len(fours):
         raise ProtochainError(f"{structure.name}: has no phi or psi to cluster by; cluster by rmsd")
-    x = [ensemble.at(frame).positions for frame in its]
-    away = _turns(x, fours) if by == "torsions" else ANGSTROM_PER_NM * rmsds([each[atoms] for each in x])
+    x = [ensemble.at(frame).positions for frame in frames_read]
+    away = (
+        _turns(x, fours)
+        if by == "torsions"
+        else ANGSTROM_PER_NM * rmsds([conformer[atoms] for conformer in x])
+    )
     labels, middle = grouped(away, WITHIN[by] if within is None else within)
     table = pd.DataFrame({
         "frame": numbers, "cluster": labels, "medoid": np.isin(np.arange(len(x)), middle),
@@ -121,33 +127,33 @@ def cluster_frames(
     })  # fmt: skip
     return Clusters(
         table, tuple(structure.with_positions(x[k]) for k in middle.tolist()),
-        alpha_residues(structure).assign(ca_fluctuation_angstrom=fluctuations([each[alpha] for each in x])),
+        alpha_residues(structure).assign(ca_fluctuation_angstrom=fluctuations([frame[alpha] for frame in x])),
     )  # fmt: skip
 
 
 def rmsds(x: Sequence[Floats]) -> Floats:
     """(m, m) RMSD of all pairs of m sets of points (n, 3), superposed, in their unit."""
-    at = np.array([each - each.mean(axis=0) for each in x])
-    square, found = np.sum(at**2, axis=(1, 2)), np.zeros((len(at), len(at)))
+    at = np.array([frame - frame.mean(axis=0) for frame in x])
+    square, distances = np.sum(at**2, axis=(1, 2)), np.zeros((len(at), len(at)))
     for i in range(1, len(at)):
         covariance = np.einsum("na,mnb->mab", at[i], at[:i])
         sums = np.linalg.svd(covariance, compute_uv=False)
         sums[:, 2] *= np.sign(np.linalg.det(covariance))
         left = square[i] + square[:i] - 2.0 * sums.sum(axis=1)
-        found[i, :i] = found[:i, i] = np.sqrt(np.maximum(left, 0.0) / at.shape[1])
-    return found
+        distances[i, :i] = distances[:i, i] = np.sqrt(np.maximum(left, 0.0) / at.shape[1])
+    return distances
 
 
 def grouped(away: Floats, within: float) -> tuple[Integers, Integers]:
     """Cluster (m,), from 1, the largest first, and medoid of each, by average linkage of distances (m, m)."""
     m = len(away)
     tree = linkage(squareform(away, checks=False), "average") if m > 1 else np.empty((0, 4))
-    found = fcluster(tree, within, "distance") if m > 1 else np.ones(1, dtype=np.int64)
-    _, first, counts = np.unique(found, return_index=True, return_counts=True)
+    flat_clusters = fcluster(tree, within, "distance") if m > 1 else np.ones(1, dtype=np.int64)
+    _, first, counts = np.unique(flat_clusters, return_index=True, return_counts=True)
     order = np.lexsort([first, -counts])
-    labels = np.argsort(order)[found - 1] + 1
+    labels = np.argsort(order)[flat_clusters - 1] + 1
     members = [np.flatnonzero(labels == k) for k in range(1, len(order) + 1)]
-    middle = [own[np.argmin(away[np.ix_(own, own)].sum(axis=1))] for own in members]
+    middle = [indices[np.argmin(away[np.ix_(indices, indices)].sum(axis=1))] for indices in members]
     return labels, np.array(middle)
 
 
@@ -155,21 +161,23 @@ def fluctuations(x: list[Floats]) -> Floats:
     """RMS deviations (n,), angstrom, of m sets of points (n, 3), nm, superposed on their mean."""
     mean = x[0]
     for _ in range(_ROUNDS):
-        at = np.array([superpose(each, mean) for each in x])
+        at = np.array([superpose(frame, mean) for frame in x])
         mean = read_only(at.mean(axis=0))
     return np.asarray(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((at - mean) ** 2, axis=2), axis=0)))
 
 
 def _backbone(structure: Structure) -> Integers:
     """(m, 4) int: atoms of phi and psi."""
-    _, its = finder(structure, ("phi", "psi"))
-    rows = [atoms for r in range(structure.n_residues) for *_, atoms in its(r) if None not in atoms]
+    _, backbone_atoms = finder(structure, ("phi", "psi"))
+    rows = [
+        atoms for r in range(structure.n_residues) for *_, atoms in backbone_atoms(r) if None not in atoms
+    ]
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
 
 
 def _turns(x: list[Floats], fours: Integers) -> Floats:
     """(m, m) root mean square of the differences of dihedrals, degrees."""
-    q = np.array([dihedral(*each[fours.T]) for each in x])
+    q = np.array([dihedral(*frame[fours.T]) for frame in x])
     off = np.zeros((len(q), len(q)))
     for i in range(len(q)):
         turn = q - q[i]

@@ -66,7 +66,7 @@ def files_of(table: Path, trajectory: Path | None) -> list[Path]:
         return files
     if _in_text(trajectory):
         return [*files, trajectory, part_of(trajectory.with_suffix(".dcd"))]
-    return [*files, trajectory, part_of(trajectory), _beside(trajectory)]
+    return [*files, trajectory, part_of(trajectory), _topology_path(trajectory)]
 
 
 def check_output(trajectory: Path) -> None:
@@ -112,8 +112,8 @@ def run_frames(
             files.keep()
             if not interrupted:
                 files.finish()
-    made = files.trajectory.n_frames if files.trajectory else 0
-    return FramesRun(table, trajectory, files.topology, files.counts, made, interrupted)
+    n_written = files.trajectory.n_frames if files.trajectory else 0
+    return FramesRun(table, trajectory, files.topology, files.counts, n_written, interrupted)
 
 
 def _columns(task: Task, trajectory: Path | None) -> tuple[str, ...]:
@@ -135,7 +135,7 @@ def _complete(
             f"{table}: is of another run, or lacks what it wrote; give another output, or begin anew with ",
             Argument("force", True),
         )
-    topology = None if trajectory is None or _in_text(trajectory) else _beside(trajectory, ensemble)
+    topology = None if trajectory is None or _in_text(trajectory) else _topology_path(trajectory, ensemble)
     counts = Counter(status for _, status, _ in rows)
     return FramesRun(table, trajectory, topology, counts, written, was_complete=True)
 
@@ -152,44 +152,44 @@ class _Files:
         self.checkpoint = checkpoint_of(table)
         self._saved = partial(saving, table, "the frames done before")
         check_writable(table)
-        kept = self._kept(resume, force)
-        self.counts: Counter[str] = Counter(kept["counts"])
-        self.n_rows, self.n_sound = kept["rows"], kept["sound"]
+        resumed = self._read_checkpoint(resume, force)
+        self.counts: Counter[str] = Counter(resumed["counts"])
+        self.n_rows, self.n_sound = resumed["rows"], resumed["sound"]
         table.parent.mkdir(parents=True, exist_ok=True)
         self.trajectory: TrajectoryFile | None = None
         self.topology: Path | None = None
         if trajectory is not None:
             binary = trajectory.with_suffix(".dcd") if _in_text(trajectory) else trajectory
-            place = tuple(kept["trajectory"]) if kept["trajectory"] else None
+            place = tuple(resumed["trajectory"]) if resumed["trajectory"] else None
             self.trajectory = TrajectoryFile(
                 binary, ensemble.structure, kept=place, hydrogens=hydrogens or _in_text(trajectory)
             )
             if not _in_text(trajectory):
-                self.topology = _beside(trajectory, ensemble)
+                self.topology = _topology_path(trajectory, ensemble)
                 save(ensemble.structure, self.topology, hydrogens=hydrogens)
         with writing(table):
-            self.rows = GrowingTable(table, _columns(task, trajectory), kept["bytes"])
+            self.rows = GrowingTable(table, _columns(task, trajectory), resumed["bytes"])
         self.told = monotonic()
         self.keep()
 
-    def _kept(self, resume: bool, force: bool) -> Mapping[str, Any]:
+    def _read_checkpoint(self, resume: bool, force: bool) -> Mapping[str, Any]:
         """How far an interrupted run is sound; nothing of a new one."""
         if self.checkpoint.exists() and resume:
             remedy = "give another output, or begin anew with ", Argument("force", True)
             with checkpoint(self.checkpoint, self.settings, "run over frames", *remedy) as read:
-                kept: dict[str, Any] = {name: read.count(name) for name in ("rows", "sound", "bytes")}
-                kept |= {name: read.values[name] for name in ("trajectory", "counts")}
-                if sum(map(Checkpoint({}, kept["counts"]).count, kept["counts"])) != kept["rows"]:
+                state: dict[str, Any] = {name: read.count(name) for name in ("rows", "sound", "bytes")}
+                state |= {name: read.values[name] for name in ("trajectory", "counts")}
+                if sum(map(Checkpoint({}, state["counts"]).count, state["counts"])) != state["rows"]:
                     raise ValueError("numbers that do not fit each other")
-            if not kept["rows"]:
+            if not state["rows"]:
                 return _NOTHING
-            done = b""
+            content = b""
             if self.table.exists():
                 with self.table.open("rb") as file:
-                    done = file.read(kept["bytes"])
-            if not done.endswith(b"\n") or done.count(b"\n") != kept["rows"] + 1:
+                    content = file.read(state["bytes"])
+            if not content.endswith(b"\n") or content.count(b"\n") != state["rows"] + 1:
                 raise ProtochainError(f"{self.table}: has other rows than its checkpoint; ", *remedy)
-            return kept
+            return state
         if self.checkpoint.exists() and not force:
             anew = ", ", Argument("force", True), " begins anew"
             raise refuse_earlier(self.table, "an interrupted run", *anew)
@@ -216,11 +216,11 @@ class _Files:
         with self._saved():
             n_bytes = self.rows.stored()
             place = self.trajectory.stored() if self.trajectory else None
-        kept = {
+        state = {
             "rows": self.n_rows, "sound": self.n_sound, "bytes": n_bytes, "trajectory": place,
             "counts": dict(self.counts),
         }  # fmt: skip
-        write_checkpoint(self.checkpoint, {}, kept, self.settings)
+        write_checkpoint(self.checkpoint, {}, state, self.settings)
         self.told = monotonic()
 
     def finish(self) -> None:
@@ -258,7 +258,7 @@ def _in_text(path: Path) -> bool:
     return bool(format_of(path))
 
 
-def _beside(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
+def _topology_path(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
     """Name of the topology of a trajectory."""
     return trajectory.with_suffix(common_suffix([ensemble.structure]) if ensemble else ".pdb")
 
@@ -266,12 +266,12 @@ def _beside(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
 def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -> dict[str, Any]:
     """All on which the files depend, as JSON reads it back."""
     path = Path(frames.source)
-    given = {
+    record = {
         "task": task.name, "protochain": version("protochain"), "frames": frames.source,
         "bytes of frames": path.stat().st_size if path.is_file() else None,
         "selection": str(frames.chosen),
         "structure": ensemble.structure.name, "atoms": ensemble.structure.fingerprint, "hydrogens": hydrogens,
         **task.settings(),
     }  # fmt: skip
-    plain: dict[str, Any] = json.loads(json.dumps(given, default=str))
+    plain: dict[str, Any] = json.loads(json.dumps(record, default=str))
     return plain

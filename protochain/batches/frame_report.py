@@ -29,7 +29,7 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
     varying = numbers.loc[:, numbers.nunique() > 1]
     figure = _along(usable["frame"], varying)
     rows, by = _worst_first(table)
-    kept = ["frame", "status", *varying, "message"]
+    columns = ["frame", "status", *varying, "message"]
     first = ["frame", "status", *sorted(map(str, varying), key=lambda name: not name.startswith(_FIRST))[:7]]
     write_page(
         path,
@@ -40,7 +40,7 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
         table=run.csv.name,
         counts=pd.DataFrame([{"frames": len(table), **run.counts}]),
         figure=figure and data_url(figure),
-        data=explored(rows[kept], [*first, "message"] if rows["message"].notna().any() else first),
+        data=explored(rows[columns], [*first, "message"] if rows["message"].notna().any() else first),
         worst_by=heading(by),
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba", "MDAnalysis", "pandas"),
     )
@@ -49,9 +49,9 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
 def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """Rows without a result first, then those with something left; in each by what tells most of damage."""
     by = next((name for name in _WORST if name in table and table[name].notna().any()), "frame")
-    bad = np.select([~_usable(table), table["status"] != "converged"], [0, 1], 2)
+    severity = np.select([~_usable(table), table["status"] != "converged"], [0, 1], 2)
     far = -table[by].astype(float) if by != "frame" else table[by]
-    return table.assign(_bad=bad, _far=far).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
+    return table.assign(_bad=severity, _far=far).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
 
 
 def _usable(table: pd.DataFrame) -> pd.Series:

@@ -54,13 +54,13 @@ class Task(Protocol):
 
     def settings(self) -> dict[str, Any]:
         """Plain values on which the rows depend."""
-        found = dict[str, Any]()
+        options = dict[str, Any]()
         for name, value in vars(self).items():
             if isinstance(value, Setup | RelaxSettings):
-                found |= {key: its for key, its in vars(value).items() if key != "threads"}
+                options |= {key: option for key, option in vars(value).items() if key != "threads"}
             elif name != "energy":
-                found[name] = value.name if isinstance(value, Structure) else value
-        return found
+                options[name] = value.name if isinstance(value, Structure) else value
+        return options
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class RelaxFrames(Task):
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             _begin_anew(energy, frame.positions)
-            done = relax_structure(frame, energy, self.relaxing, move=self.setup.move)
-            if done.status is Status.INTERRUPTED:
+            relaxation = relax_structure(frame, energy, self.relaxing, move=self.setup.move)
+            if relaxation.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            row = {key: flat(value) for key, value in record(self._columns, done).items()}
-            return row, done.x if done.is_usable else None
+            row = {key: flat(value) for key, value in record(self._columns, relaxation).items()}
+            return row, relaxation.x if relaxation.is_usable else None
 
         return act
 
@@ -154,10 +154,10 @@ class EnergyFrames(Task):
                 value, forces = energy(frame.positions)
                 return dict(zip(self.columns, (value, float(np.sqrt(np.mean(forces**2)))), strict=True)), None
             table = energy_terms(frame, between=self.between, energy=energy)
-            named = {"whole": ""} if self.between is None else {of: f"{of}_" for of in _OF_PARTS}
+            prefixes = {"whole": ""} if self.between is None else {of: f"{of}_" for of in _OF_PARTS}
             rows = table.to_dict("index")
             return {
-                f"{own}{term}_kj_mol": e for of, own in named.items() for term, e in rows[of].items()
+                f"{prefix}{term}_kj_mol": e for of, prefix in prefixes.items() for term, e in rows[of].items()
             }, None
 
         return act
@@ -187,8 +187,8 @@ class ScoreFrames(Task):
 
         pairs = [sides_named(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
-            what = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
-            raise ProtochainError(f"{structure.name}: {what}", Argument("interface"))
+            problem = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
+            raise ProtochainError(f"{structure.name}: {problem}", Argument("interface"))
         parts = sides(structure, *pairs[0])
         energy = native(_with_threads(self.setup, threads).energy(structure))
 
@@ -213,15 +213,15 @@ def _with_threads(setup: Setup, threads: int | None) -> Setup:
 def _for_many(setup: Setup, structure: Structure) -> Setup:
     """Setup for many frames: on a device they share one context, so that it pays for fewer atoms."""
     fewest = defaults.DEVICE_FROM_IN_FRAMES
-    own = "cpu" if setup.engine == "native" else chosen(setup.device, structure.n_atoms, fewest)
-    return replace(setup, device=own)
+    device = "cpu" if setup.engine == "native" else chosen(setup.device, structure.n_atoms, fewest)
+    return replace(setup, device=device)
 
 
 def _begin_anew(energy: Energy, x: Floats) -> None:
     """Make neighbour lists for a frame, so that its numbers do not depend on the frames before it."""
-    for each in (energy, getattr(energy, "coarse", None)):
-        if each is not None and each.lists_at is not None:
-            each.list_at(x)
+    for level in (energy, getattr(energy, "coarse", None)):
+        if level is not None and level.lists_at is not None:
+            level.list_at(x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ class FrameJob:
     @property
     def indices(self) -> tuple[int, ...]:
         """Places of the frames."""
-        return tuple(each if isinstance(each, int) else each.index for each in self.frames)
+        return tuple(frame if isinstance(frame, int) else frame.index for frame in self.frames)
 
     def run(self, threads: int) -> Iterator[FrameRow]:
         """Do the task to each of the frames."""
@@ -257,8 +257,8 @@ class FrameJob:
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
         """Row of the frame at which the process ended, after others were done."""
-        its = self.frames[len(done)]
-        frame = Frame(its, None) if isinstance(its, int) else its
+        lost_frame = self.frames[len(done)]
+        frame = Frame(lost_frame, None) if isinstance(lost_frame, int) else lost_frame
         row = origin(frame) | failed(frame, status, message) | {"seconds": seconds}
         return [FrameRow(frame.index, row, None, status == "killed")]
 
@@ -278,16 +278,16 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
         structure = ensemble.at(frame)
         gap = ensemble.gap(structure.positions)
         row[GAP] = None if gap is None else ANGSTROM_PER_NM * gap
-        found, x = act(structure)
-        found["seconds"] = perf_counter() - began
+        values, x = act(structure)
+        values["seconds"] = perf_counter() - began
         return FrameRow(
             frame.index,
-            row | {"status": "measured", "message": ""} | found,
+            row | {"status": "measured", "message": ""} | values,
             structure.positions if x is None else x,
         )
     except Exception as error:
-        wrong = failed(frame, *reason(error))
-    return FrameRow(frame.index, row | wrong | {"seconds": perf_counter() - began}, None)
+        failure = failed(frame, *reason(error))
+    return FrameRow(frame.index, row | failure | {"seconds": perf_counter() - began}, None)
 
 
 GAP = "largest_gap_angstrom"

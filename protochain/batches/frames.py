@@ -117,8 +117,8 @@ def relax_frames(
     energy = None
     if has_energy(top):
         setup = setup if processes is None else replace(setup, threads=processes.threads)
-        given = named(relaxing, (*options, *(["threads"] if processes else [])))
-        energy = setup.energy_of(top, ensemble.structure, given)
+        arguments = named(relaxing, (*options, *(["threads"] if processes else [])))
+        energy = setup.energy_of(top, ensemble.structure, arguments)
     return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup, energy), processes)
 
 
@@ -164,13 +164,13 @@ def frame_energies(
 
     setup = Setup(**settings)
     ensemble, chosen = ensemble_of(top, frames, select, setup)
-    its = None
+    frame_energy = None
     if energy is not None or has_energy(top):
-        named = {name: getattr(setup, name) for name in OF_ENERGY if name in settings}
-        its = as_energy(energy, ensemble.structure, top, **named)
-    task = EnergyFrames(setup, between, its, whole=between is None)
+        options = {name: getattr(setup, name) for name in OF_ENERGY if name in settings}
+        frame_energy = as_energy(energy, ensemble.structure, top, **options)
+    task = EnergyFrames(setup, between, frame_energy, whole=between is None)
     processes = Processes(workers, threads=setup.threads or 1) if workers else None
-    return pd.DataFrame([dict(each.record) for each in over_frames(ensemble, chosen, task, processes)])
+    return pd.DataFrame([dict(row.record) for row in over_frames(ensemble, chosen, task, processes)])
 
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
@@ -191,8 +191,8 @@ def over_frames(
         for frame in frames:
             yield _result(ensemble, task, frame.index, row_of(ensemble, act, frame))
         return
-    given = ensemble, task, frames.path and frames.path.absolute()
-    with shared(given) as path, at_work(processes) as workers:
+    arguments = ensemble, task, frames.path and frames.path.absolute()
+    with shared(arguments) as path, at_work(processes) as workers:
         waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
         jobs = deque[FrameJob]()
         rows: dict[int, FrameRow] = {}
@@ -200,20 +200,20 @@ def over_frames(
         while True:
             # Counted from the oldest that is not done: results that wait for it do not pile up.
             while len(jobs) < _AHEAD * max(1, workers.count()) and (
-                some := [*islice(waiting, task.at_a_time)]
+                chunk := [*islice(waiting, task.at_a_time)]
             ):
-                jobs.append(FrameJob(path, tuple(some)))
+                jobs.append(FrameJob(path, tuple(chunk)))
                 running.submit(jobs[-1])
             if not jobs:
                 return
             job, future = running.ended()
-            done = future.result()
+            future_rows = future.result()
             # A damaged frame may spoil memory, so that the process ends at a sound one after it.
-            if done[-1].ended and done[-1].index not in again:
-                again.add(done.pop().index)
-            rows |= {row.index: row for row in done}
-            if len(done) < len(job.frames):  # From or after the one at which the process ended.
-                running.submit(FrameJob(path, job.frames[len(done) :]))
+            if future_rows[-1].ended and future_rows[-1].index not in again:
+                again.add(future_rows.pop().index)
+            rows |= {row.index: row for row in future_rows}
+            if len(future_rows) < len(job.frames):  # From or after the one at which the process ended.
+                running.submit(FrameJob(path, job.frames[len(future_rows) :]))
             while jobs and all(index in rows for index in jobs[0].indices):
                 for index in jobs.popleft().indices:
                     yield _result(ensemble, task, index, rows.pop(index))

@@ -114,27 +114,27 @@ class BatchSettings(StartSettings, MinimiseSettings):
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by their names, or the setup's, or relaxing's."""
         refuse_unknown(settings, NAMES)
-        for whole, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING)):
+        for group, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING)):
             parts = {name: settings.pop(name) for name in names if name in settings}
             if parts:
-                settings[whole] = replace(settings.get(whole, getattr(self, whole)), **parts)
+                settings[group] = replace(settings.get(group, getattr(self, group)), **parts)
         return replace(self, **settings)
 
     def read(self, row: Mapping[str, str]) -> "BatchSettings":
         """Return these settings with the filled cells of a manifest's row in their place."""
-        named = {name: _OF_OPTION.get(name.replace("-", "_"), name.replace("-", "_")) for name in row}
-        refuse_unknown((name for name, known in named.items() if known not in _IN_MANIFEST), _COLUMNS)
-        cells = {named[name]: text.strip() for name, text in row.items() if text.strip()}
+        options = {name: _OF_OPTION.get(name.replace("-", "_"), name.replace("-", "_")) for name in row}
+        refuse_unknown((name for name, option in options.items() if option not in _IN_MANIFEST), _COLUMNS)
+        cells = {options[name]: text.strip() for name, text in row.items() if text.strip()}
         if ":" in cells.get("methods", ""):
             raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
         try:
-            own = self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
+            settings = self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
         except ProtochainError:
             raise
         except ValueError as error:
             raise ProtochainError(str(error)) from error
-        own.refuse_idle(cells)
-        return own
+        settings.refuse_idle(cells)
+        return settings
 
     def refuse_idle(self, given: Iterable[str], idle: frozenset[str] | None = None) -> None:
         """Refuse the first of the settings given that no method has: nothing would come of it."""
@@ -157,12 +157,12 @@ class BatchSettings(StartSettings, MinimiseSettings):
         return {name: value for name, value in self.values().items() if name not in self.idle}
 
 
-def refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
+def refuse_unknown(given: Iterable[str], known_names: Sequence[str]) -> None:
     """Refuse the first name that is not known, and list those that are."""
-    unknown = next((name for name in given if name not in known), None)
+    unknown = next((name for name in given if name not in known_names), None)
     if unknown is not None:
         raise ProtochainError(
-            f"no setting is called {unknown!r}; choose from {', '.join(dict.fromkeys(known))}"
+            f"no setting is called {unknown!r}; choose from {', '.join(dict.fromkeys(known_names))}"
         )
 
 
@@ -232,14 +232,14 @@ class Job:
         """The same job for a worker, which may have been started in another folder: files by whole paths."""
         setup = self.settings.setup
         files = {str(file): str(file.absolute()) for file in _files(setup)}
-        whole = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
-        records = [(name, given, *file_and_record(given)) for name, given in setup.ligands]
+        force_field = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
+        records = [(name, source, *file_and_record(source)) for name, source in setup.ligands]
         ligands = tuple(
-            (name, f"{files[str(file)]}#{record}".removesuffix("#0") if str(file) in files else given)
-            for name, given, file, record in records
+            (name, f"{files[str(file)]}#{record}".removesuffix("#0") if str(file) in files else source)
+            for name, source, file, record in records
         )
         charges = files.get(setup.ligand_charges, setup.ligand_charges)
-        moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
+        moved = {"forcefield": force_field, "ligands": ligands, "ligand_charges": charges}
         return replace(self, settings=self.settings.changed(**moved)) if files else self
 
 
@@ -315,34 +315,42 @@ def find_jobs(
         If there is nothing to do, no file exists, the manifest makes no sense, a setting is one that no
         method has, or an input might be replaced.
     """
-    found = [_Found(path, settings, root) for given in inputs for path, root in _paths(str(given), output)]
+    inputs_found = [
+        _Found(path, settings, root) for source in inputs for path, root in _paths(str(source), output)
+    ]
     if manifest:
-        found += _from_manifest(manifest, settings)
+        inputs_found += _from_manifest(manifest, settings)
     unique: dict[tuple[Path, BatchSettings], _Found] = {}
-    for each in (each for one in found for with_pose in _poses(one) for each in _models(with_pose)):
-        unique.setdefault((each.path.absolute(), each.settings), each)
-    found = list(unique.values())
-    for path in (*(each.path for each in found), *([manifest] if manifest else [])):
+    for job_input in (
+        job_input for one in inputs_found for with_pose in _poses(one) for job_input in _models(with_pose)
+    ):
+        unique.setdefault((job_input.path.absolute(), job_input.settings), job_input)
+    inputs_found = list(unique.values())
+    for path in (*(job_input.path for job_input in inputs_found), *([manifest] if manifest else [])):
         if _is_inside(path, output):
             raise ProtochainError(
                 f"{path}: lies in the folder for the results; give them a folder of their own"
             )
     where = f"{manifest}: " if manifest else ""
-    if not found:
+    if not inputs_found:
         raise ProtochainError(f"{where}no structures found; give files, folders or patterns")
-    if not any(each.path.exists() for each in found):
-        raise ProtochainError(f"{where}{found[0].path}: not found, nor any other structure; check the names")
+    if not any(job_input.path.exists() for job_input in inputs_found):
+        raise ProtochainError(
+            f"{where}{inputs_found[0].path}: not found, nor any other structure; check the names"
+        )
     usual = BatchSettings().values()
     settings.refuse_idle(
         (name for name, value in settings.values().items() if value != usual[name]),
-        frozenset.intersection(*(each.settings.idle for each in found)),
+        frozenset.intersection(*(job_input.settings.idle for job_input in inputs_found)),
     )
-    jobs = [each.job() for each in found]
-    wanted = [
-        Wanted(job.path, each.root, job.settings.setup.model, job.key, job.settings.methods, each.pose)
-        for each, job in zip(found, jobs, strict=True)
+    jobs = [job_input.job() for job_input in inputs_found]
+    requested = [
+        Wanted(
+            job.path, job_input.root, job.settings.setup.model, job.key, job.settings.methods, job_input.pose
+        )
+        for job_input, job in zip(inputs_found, jobs, strict=True)
     ]
-    return [replace(job, name=name) for job, name in zip(jobs, named_apart(wanted, earlier), strict=True)]
+    return [replace(job, name=name) for job, name in zip(jobs, named_apart(requested, earlier), strict=True)]
 
 
 def listed(by_nul: bool = False) -> list[str]:
@@ -365,8 +373,8 @@ def _paths(given: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
             raise ProtochainError(
                 f"{given}: is the folder for the results, or lies in it; give them a folder of their own"
             )
-        found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
-        yield from ((path, Path(given)) for path in found if not _is_inside(path, output))
+        matches = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
+        yield from ((path, Path(given)) for path in matches if not _is_inside(path, output))
     elif not Path(given).exists() and _GLOB & set(given):
         matched = sorted(glob.glob(given, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not matched:
@@ -401,36 +409,36 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
         raise ProtochainError(f"{manifest}: cannot be read ({error}); write it as CSV in UTF-8") from None
     if "path" not in names:
         raise ProtochainError(f"{manifest}: has no column 'path'")
-    found = []
+    candidates = []
     for line, row in rows:
         try:
             if "" in row:
                 raise ProtochainError("more cells than columns")
             if any(character < " " for character in row["path"].strip()):
                 raise ProtochainError("its path has control characters, as after a quotation mark left open")
-            own = settings.read({k: v for k, v in row.items() if k != "path"})
+            row_settings = settings.read({k: v for k, v in row.items() if k != "path"})
         except ProtochainError as error:
             raise ProtochainError(f"{manifest}: line {line}: ", *error.parts) from error
         path = manifest.parent / row["path"].strip()
-        found.append(_Found(path, own, path.parent))
-    return found
+        candidates.append(_Found(path, row_settings, path.parent))
+    return candidates
 
 
 def _poses(found: _Found) -> list[_Found]:
     """The structure with each pose of a folder or a file that was given as a ligand."""
-    given = found.settings.setup.ligands
-    group = next((source for name, source in given if not name and are_several(source)), None)
+    ligands = found.settings.setup.ligands
+    group = next((source for name, source in ligands if not name and are_several(source)), None)
     if group is None:
         return [found]
     sources = poses(Path(group))
     if not sources:
         raise ProtochainError(f"{group}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
-    others = tuple(each for each in given if each != ("", group))
+    other_ligands = tuple(part for part in ligands if part != ("", group))
     return [
         replace(
             found,
-            settings=found.settings.changed(ligands=(*others, ("", pose))),
-            pose="_".join(str(each) for each in (file.stem, record) if each),
+            settings=found.settings.changed(ligands=(*other_ligands, ("", pose))),
+            pose="_".join(str(part) for part in (file.stem, record) if part),
         )
         for pose in sources
         for file, record in [file_and_record(pose)]
@@ -438,25 +446,25 @@ def _poses(found: _Found) -> list[_Found]:
 
 
 def _models(found: _Found) -> list[_Found]:
-    asked = found.settings.setup.model
-    if not isinstance(asked, str):
+    requested = found.settings.setup.model
+    if not isinstance(requested, str):
         return [found]
     models: Sequence[int | None]
-    if asked == ALL_MODELS:
+    if requested == ALL_MODELS:
         try:
             numbers = model_numbers(found.path)
         except (ProtochainError, OSError):
             numbers = []  # The job fails, with the reason, when it is run.
         models = numbers if len(numbers) > 1 else [None]
     else:
-        models = models_asked(asked)  # A job whose model is not there fails, and says so.
+        models = models_asked(requested)  # A job whose model is not there fails, and says so.
     return [replace(found, settings=found.settings.changed(model=model)) for model in models]
 
 
 def _files(setup: Setup) -> list[Path]:
     """Other files that a structure is prepared with: of force fields, of ligands and their charges."""
-    given = (*(file_and_record(source)[0] for _, source in setup.ligands), Path(setup.ligand_charges))
-    return [*user_files(setup.forcefield), *(each for each in given if each.is_file())]
+    sources = (*(file_and_record(source)[0] for _, source in setup.ligands), Path(setup.ligand_charges))
+    return [*user_files(setup.forcefield), *(file for file in sources if file.is_file())]
 
 
 def _hash(path: Path) -> str:
@@ -468,6 +476,6 @@ def _hash(path: Path) -> str:
 
 
 def _key(path: Path, settings: BatchSettings) -> str:
-    own = "".join(map(_hash, _files(settings.setup)))
-    parts = [version("protochain"), _hash(path), settings.record(), own]
+    hashes = "".join(map(_hash, _files(settings.setup)))
+    parts = [version("protochain"), _hash(path), settings.record(), hashes]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

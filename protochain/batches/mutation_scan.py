@@ -46,31 +46,34 @@ class SiteJob:
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""
         structure, relaxing, setup = unpickled(self.task)
-        known: dict[tuple[Any, ...], Relaxation] = {}
+        relaxations: dict[tuple[Any, ...], Relaxation] = {}
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
             try:
-                its = mutated(structure, names, relaxing, replace(setup, threads=threads), known)
-                yield _site(structure, self.residue, letter) | its.record()
+                mutation = mutated(structure, names, relaxing, replace(setup, threads=threads), relaxations)
+                yield _site(structure, self.residue, letter) | mutation.record()
             except Exception as error:
-                yield _failed(structure, self.residue, letter, *reason(error))
+                yield _failed_row(structure, self.residue, letter, *reason(error))
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
         """Rows of the mutants that are missing, where the process ended."""
         structure = unpickled(self.task)[0]
-        return [_failed(structure, self.residue, each, status, message) for each in self.letters[len(done) :]]
+        return [
+            _failed_row(structure, self.residue, letter, status, message)
+            for letter in self.letters[len(done) :]
+        ]
 
 
 def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
-    its = structure.residue(r)
+    residue = structure.residue(r)
     wild = STANDARD[str(structure.residue_name[r])]
-    return dict(zip(_SITE, (its.chain, its.number, wild, letter), strict=True))
+    return dict(zip(_SITE, (residue.chain, residue.number, wild, letter), strict=True))
 
 
-def _failed(structure: Structure, r: int, letter: str, status: str, message: str) -> dict[str, Any]:
-    named = {"structure": structure.name, "mutations": told(structure, r, LETTERS[letter])}
+def _failed_row(structure: Structure, r: int, letter: str, status: str, message: str) -> dict[str, Any]:
+    columns = {"structure": structure.name, "mutations": told(structure, r, LETTERS[letter])}
     empty = dict.fromkeys(column.key for column in COLUMNS)
-    return _site(structure, r, letter) | empty | named | {"status": status, "message": message}
+    return _site(structure, r, letter) | empty | columns | {"status": status, "message": message}
 
 
 def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str]]:
@@ -81,16 +84,16 @@ def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str
     chosen = np.zeros(structure.n_residues, dtype=bool)
     for part in text(sites, "sites").split(","):
         chosen |= residues_of(structure, part.strip(), "sites")
-    own = [STANDARD.get(str(name), "") for name in structure.residue_name]
-    kept = np.isin(np.arange(structure.n_residues), structure.atom_residue[structure.kept])
+    letters_of_residues = [STANDARD.get(str(name), "") for name in structure.residue_name]
+    is_hetero = np.isin(np.arange(structure.n_residues), structure.atom_residue[structure.kept])
     rows = [
-        (r, "".join(each for each in dict.fromkeys(letters) if each != own[r]))
-        for r in np.flatnonzero(chosen & ~kept).tolist()
-        if own[r]
+        (r, "".join(letter for letter in dict.fromkeys(letters) if letter != letters_of_residues[r]))
+        for r in np.flatnonzero(chosen & ~is_hetero).tolist()
+        if letters_of_residues[r]
     ]
-    if not any(its for _, its in rows):
+    if not any(mutants for _, mutants in rows):
         raise ProtochainError(f"{structure.name}: sites {sites!r} into {into!r}: there is nothing to mutate")
-    return [(r, its) for r, its in rows if its]
+    return [(r, mutants) for r, mutants in rows if mutants]
 
 
 @checked(workers=optional(at_least(1)))
@@ -143,8 +146,8 @@ def rows_of(
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
     """Rows of mutants, as they are done."""
     with shared((structure, relaxing, setup)) as path:
-        each = [SiteJob(path, *job) for job in jobs]
-        for _, rows in each_done(each, processes, setup.threads):
+        site_jobs = [SiteJob(path, *job) for job in jobs]
+        for _, rows in each_done(site_jobs, processes, setup.threads):
             yield from rows
 
 
@@ -161,7 +164,9 @@ def run_scan(
     import pandas as pd
 
     jobs, begun = sites_of(structure, sites, into), checkpoint_of(table)
-    plain = {name: str(its) for name, its in {**vars(setup), **vars(relaxing)}.items() if name != "threads"}
+    plain = {
+        name: str(value) for name, value in {**vars(setup), **vars(relaxing)}.items() if name != "threads"
+    }
     settings = {
         "sites": sites, "into": into, "protochain": version("protochain"), "atoms": structure.fingerprint,
         "positions": float(np.abs(structure.positions).sum()), **plain,
@@ -172,7 +177,7 @@ def run_scan(
         with checkpoint(begun, settings, "scan", *remedy):
             pass  # Its settings are the same.
         if table.exists():
-            numbers = [each.key for each in COLUMNS if each.kind is not str]
+            numbers = [column.key for column in COLUMNS if column.kind is not str]
             read: Any = pd.read_csv(
                 table, dtype=dict.fromkeys((*_SITE, "structure"), "str"), keep_default_na=False,
                 na_values={name: [""] for name in numbers},
@@ -180,18 +185,20 @@ def run_scan(
             rows = read.to_dict("records")
     elif begun.exists():
         raise refuse_earlier(table, "an interrupted scan", "; or remove ", str(begun))
-    done, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
+    finished, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
     left = []
     for r, letters in jobs:
-        its = structure.residue(r)
-        letters = "".join(each for each in letters if (its.chain, its.number, each) not in done)
+        value = structure.residue(r)
+        letters = "".join(column for column in letters if (value.chain, value.number, column) not in finished)
         left += [(r, letters)] if letters else []
     total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
 
     def keep() -> "pd.DataFrame":
-        found = pd.DataFrame(sorted(rows, key=order), columns=[*_SITE, *(each.key for each in COLUMNS)])
-        write_atomically(table, lambda to: found.to_csv(to, index=False))
-        return found
+        sorted_table = pd.DataFrame(
+            sorted(rows, key=order), columns=[*_SITE, *(column.key for column in COLUMNS)]
+        )
+        write_atomically(table, lambda to: sorted_table.to_csv(to, index=False))
+        return sorted_table
 
     keep()  # In place of an earlier table, whose rows would be taken for those of this scan.
     write_checkpoint(begun, {}, None, settings)

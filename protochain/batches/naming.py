@@ -93,23 +93,23 @@ def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> li
     """Name structures after their files, below the folder that all have in common."""
     if not wanted:
         return []
-    folders = [folder for each in wanted for folder in (absolute(each.root), each.place.parent)]
+    folders = [folder for request in wanted for folder in (absolute(request.root), request.place.parent)]
     home = Path(os.path.commonpath(folders))
-    kept, used = _kept(wanted, earlier)
+    earlier_names, used = _reuse_names(wanted, earlier)
     levels = [0] * len(wanted)
     while True:
         names = [
-            old or each.name(home, level, k)
-            for k, (old, each, level) in enumerate(zip(kept, wanted, levels, strict=True))
+            old or request.name(home, level, k)
+            for k, (old, request, level) in enumerate(zip(earlier_names, wanted, levels, strict=True))
         ]
         claims = [
-            {name, *(output_stem(name, method) for method in each.methods)}
-            for name, each in zip(names, wanted, strict=True)
+            {name, *(output_stem(name, method) for method in request.methods)}
+            for name, request in zip(names, wanted, strict=True)
         ]
-        count = used + Counter(claim for each in claims for claim in each)
+        count = used + Counter(claim for request in claims for claim in request)
         clashing = [
-            k for k, each in enumerate(claims)
-            if not kept[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in each)
+            k for k, request in enumerate(claims)
+            if not earlier_names[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in request)
         ]  # fmt: skip
         if not clashing:
             return names
@@ -117,18 +117,18 @@ def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> li
             levels[k] += 1
 
 
-def _kept(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
+def _reuse_names(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
     """Names that stay, empty where there is none yet; and what results of other files claim."""
-    sources = Counter(each.source for each in wanted)
+    sources = Counter(request.source for request in wanted)
     same = {(row.source, row.key): row.structure for row in earlier}
     changed = {row.source: row.structure for row in earlier if sources[row.source] == 1}
-    others = {row.structure: row for row in earlier if row.source not in sources}
-    moved = {(row.key, Path(row.input).name): row.structure for row in others.values() if row.is_gone}
-    kept = []
-    for each in wanted:
-        name = same.get((each.source, each.key)) or changed.get(each.source, "")
-        name = name or moved.pop((each.key, each.path.name), "")
-        kept.append(name)
-    left = others.keys() - {*kept}
+    other_rows = {row.structure: row for row in earlier if row.source not in sources}
+    moved = {(row.key, Path(row.input).name): row.structure for row in other_rows.values() if row.is_gone}
+    names = []
+    for request in wanted:
+        name = same.get((request.source, request.key)) or changed.get(request.source, "")
+        name = name or moved.pop((request.key, request.path.name), "")
+        names.append(name)
+    left = other_rows.keys() - {*names}
     claims = (row.claims for row in earlier if row.structure in left)
-    return kept, Counter(dict.fromkeys((claim for each in claims for claim in each), 1))
+    return names, Counter(dict.fromkeys((claim for request in claims for claim in request), 1))

@@ -66,7 +66,7 @@ def write_page(
         looks={name: look.svg for name, look in looks(row.record["method"] for row in rows).items()},
         width=WIDTH,
         height=HEIGHT,
-        **_viewed(folder, path, ends),
+        **_view_data(folder, path, ends),
     )
 
 
@@ -74,19 +74,19 @@ _MOST_ATOMS = 20_000
 """Atoms of a structure that its page shows: more would be megabytes, and there may be thousands of pages."""
 
 
-def _viewed(
+def _view_data(
     folder: Path, path: Path, ends: Mapping[str, tuple[Structure, Structure | None]]
 ) -> dict[str, Any]:
     """Variables of the viewer, whose library is beside the pages, once for all of them."""
-    found = {method: end for method, (_, end) in ends.items() if end is not None}
+    structures = {method: end for method, (_, end) in ends.items() if end is not None}
     start = next((start for start, _ in ends.values()), None)
-    if start is None or not found or start.n_atoms > _MOST_ATOMS:
+    if start is None or not structures or start.n_atoms > _MOST_ATOMS:
         return {"models": []}
     shared = folder / "pages" / "viewer.js"
     if not shared.exists():
         write_text(shared, library())
     at = "../" * (len(path.relative_to(folder).parent.parts) - 1) + shared.name
-    same = {method: end for method, end in found.items() if end.n_atoms == start.n_atoms}
+    same = {method: end for method, end in structures.items() if end.n_atoms == start.n_atoms}
     return scene({"start": start, **same}, chosen=DISPLACEMENT) | {"library_at": at, "library": ""}
 
 
@@ -94,11 +94,11 @@ def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.Data
     """Totals of what each method changed, a column each."""
     from protochain.comparison.differences import of_ends, totals_of
 
-    found = {
+    changes = {
         method: of_ends({"start": start, method: end})
         for method, (start, end) in ends.items() if end is not None
     }  # fmt: skip
-    return totals_of({method: its[method] for method, its in found.items() if its})
+    return totals_of({method: change[method] for method, change in changes.items() if change})
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:
@@ -114,12 +114,12 @@ def curves(rows: Sequence[Row]) -> dict[str, object]:
         return {"lines": {}}
     low = min(float(energy.min()) for _, energy in runs.values())
     high = max(float(energy.max()) for _, energy in runs.values())
-    most = max(float(work.max()) for work, _ in runs.values())
+    largest = max(float(work.max()) for work, _ in runs.values())
     lines = {
         method: " ".join(
-            f"{WIDTH * w / max(most, 1e-9):.1f},{HEIGHT * (high - e) / max(high - low, 1e-9):.1f}"
+            f"{WIDTH * w / max(largest, 1e-9):.1f},{HEIGHT * (high - e) / max(high - low, 1e-9):.1f}"
             for w, e in zip(work, energy, strict=True)
         )
         for method, (work, energy) in runs.items()
     }
-    return {"low": low, "high": high, "most": round(10**most), "lines": lines}
+    return {"low": low, "high": high, "most": round(10**largest), "lines": lines}

@@ -34,7 +34,7 @@ USABLE = "energy_end_reference_kj_mol"
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
     """Write ``report.html``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
     usable = table[table[USABLE].notna()]
-    for stem, (values, label) in _measured(usable).items():
+    for stem, (values, label) in _measures(usable).items():
         figure = plot_distribution(values, usable["method"], label)
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
     pages = {str(path.relative_to(folder / "pages")) for path in (folder / "pages").rglob("*.html")}
@@ -45,20 +45,20 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         lost=loss_lines(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         data=_data(worst_first(table), pages),
-        judges=[each for each in table["judge"].dropna().unique() if each] if "judge" in table else [],
+        judges=[judge for judge in table["judge"].dropna().unique() if judge] if "judge" in table else [],
     )
 
 
 def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
     """Rows of the page, the worst first, each with the page of its structure."""
-    kept = [
+    columns = [
         str(name) for name in rows.select_dtypes("number")
         if name in (USABLE, "energy_start_kj_mol") or not re.fullmatch(_NOT_ON_PAGE, str(name))
     ]  # fmt: skip
     links = [f"pages/{quote(name)}.html" if f"{name}.html" in pages else None for name in rows["structure"]]
     first = ["structure", "method", "status"]
-    kept.sort(key=lambda name: name not in _SHOWN)
-    varying = [name for name in kept if name in _SHOWN or rows[name].nunique() > 1]
+    columns.sort(key=lambda name: name not in _SHOWN)
+    varying = [name for name in columns if name in _SHOWN or rows[name].nunique() > 1]
     drop = rows[[*first, *varying]].assign(energy_drop_kj_mol_per_residue=_drop(rows))
     return explored(drop.assign(message=rows["message"]), _SHOWN, links, "method")
 
@@ -77,14 +77,14 @@ def plot_distributions(table: "pd.DataFrame") -> Figure:
     """Plot the distributions of energy drop, RMSD and seconds side by side, a line for each method."""
     figure, axes = panels(None, 3, (7.2, 2.6), sharey=True)
     table = table[table[USABLE].notna()]
-    for ax, (values, label) in zip(axes, _measured(table).values(), strict=True):
+    for ax, (values, label) in zip(axes, _measures(table).values(), strict=True):
         plot_distribution(values, table["method"], label.replace(", kJ", ",\nkJ").replace(" to", "\nto"), ax)
     for ax in axes[1:]:
         ax.set_ylabel("")
     return figure
 
 
-def _measured(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
+def _measures(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
     """What is drawn of a batch, by the stem of its file, with its label."""
     return {
         "energy": (_drop(table), "energy drop, kJ/mol per residue"),
@@ -97,11 +97,11 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
     """Plot the cumulative distribution of a quantity, a line for each method."""
     figure, (ax,) = panels(ax, 1, (5.2, 3.6))
     styles = looks(methods.astype(str).unique())
-    for method, own in values.astype(float).groupby(methods, sort=False):
-        there = np.sort(own.dropna().to_numpy())
-        if len(there):
-            share = 100.0 * np.arange(1, len(there) + 1) / len(there)
-            ax.step(there, share, where="post", **styles[str(method)].line(str(method)))
+    for method, method_values in values.astype(float).groupby(methods, sort=False):
+        sorted_values = np.sort(method_values.dropna().to_numpy())
+        if len(sorted_values):
+            share = 100.0 * np.arange(1, len(sorted_values) + 1) / len(sorted_values)
+            ax.step(sorted_values, share, where="post", **styles[str(method)].line(str(method)))
     ax.set_xlabel(label)
     ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)

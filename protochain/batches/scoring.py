@@ -42,20 +42,22 @@ class ScoreJob:
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
             structure = setup.load(self.path)
-            pairs = [sides_named(structure, each) for each in self.interfaces] or touching_chains(structure)
+            pairs = [sides_named(structure, pair_name) for pair_name in self.interfaces] or touching_chains(
+                structure
+            )
             if not pairs:
                 raise ProtochainError(f"{self.named}: no two of its chains are in contact; give a complex")
-            energy, given = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
+            energy, confidences = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
             if self.relax:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
-                its = scored(structure, energy, *pair, sides(structure, *pair), given)
+                interface = scored(structure, energy, *pair, sides(structure, *pair), confidences)
                 off = docked(self.reference, structure, *pair) if self.reference else {}
-                yield self.named, replace(its, scores={**its.scores, **off})
+                yield self.named, replace(interface, scores={**interface.scores, **off})
         except Exception as error:
-            why = reason(error, self.path)[1]
-            named = why.startswith((self.named, str(self.path)))
-            yield self.named, why if named else f"{self.named}: {why}"
+            message = reason(error, self.path)[1]
+            has_name = message.startswith((self.named, str(self.path)))
+            yield self.named, message if has_name else f"{self.named}: {message}"
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
         """Why interfaces are missing, where the process ended."""
@@ -64,5 +66,5 @@ class ScoreJob:
 
 def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> list[Scored]:
     """Score the interfaces of complexes, in their order; without processes in this one."""
-    done = {id(job): rows for job, rows in each_done(jobs, processes)}
-    return [row for job in jobs for row in done[id(job)]]
+    results = {id(job): rows for job, rows in each_done(jobs, processes)}
+    return [row for job in jobs for row in results[id(job)]]

@@ -119,8 +119,8 @@ class Child:
         if status >= 0:
             return f"the process that minimised it ended with status {status}: {lines[-1] if lines else ''}"
         name = signal.Signals(-status).name
-        why = ", as when memory runs out" if name == "SIGKILL" else ""
-        return f"the process that minimised it was ended by {name}{why}"
+        cause = ", as when memory runs out" if name == "SIGKILL" else ""
+        return f"the process that minimised it was ended by {name}{cause}"
 
 
 _here = threading.local()

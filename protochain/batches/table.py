@@ -85,7 +85,7 @@ def replaced(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
     """Files that a batch writes to its folder beside structures, pages and plots."""
     names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)
-    return [folder / each for each in names]
+    return [folder / file_name for file_name in names]
 
 
 class Tables:
@@ -109,15 +109,15 @@ class Tables:
             check_writable(file)
         self.folder, self._claim = folder, ExitStack()
         self._claim.enter_context(claim_folder(folder, "batch", resume))
-        other = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
+        other_table = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
         files = self.summary, self.traces, folder / SETTINGS
         if force and not resume:
-            remove_files((*files, other, other.with_suffix(".parquet")))
+            remove_files((*files, other_table, other_table.with_suffix(".parquet")))
         self._new = [file for file in files if not file.exists()]
         # Of two tables in a folder, each would have the other's settings and traces.
-        if other.exists():
+        if other_table.exists():
             self.close()
-            raise ProtochainError(f"{other}: holds a batch; give another folder; ", *REPLACE)
+            raise ProtochainError(f"{other_table}: holds a batch; give another folder; ", *REPLACE)
         if not (self.summary in self._new or resume):
             self.close()
             raise refuse_earlier(self.summary, "a batch")
@@ -138,7 +138,7 @@ class Tables:
         groups = defaultdict(list)
         for row in _whole_lines(self.summary):
             groups[row["structure"], row["key"]].append(row)
-        done, kept = set(), []
+        finished_jobs, rows_of_table = set(), []
         for identity, rows in groups.items():
             job = of.get(identity)
             if job is not None:
@@ -146,22 +146,22 @@ class Tables:
                     continue
                 if any(row["status"] in CIRCUMSTANCES for row in rows):
                     continue
-                done.add(identity)
+                finished_jobs.add(identity)
             elif identity[0] in names or _source(rows[0]) in sources:
                 continue
-            kept += rows
-        self.columns = tuple(dict.fromkeys((*self.columns, *(kept[0] if kept else ()))))
-        whole = {(row["structure"], row["key"]) for row in kept}
-        traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
-        _replace(self.summary, self.columns, kept)
+            rows_of_table += rows
+        self.columns = tuple(dict.fromkeys((*self.columns, *(rows_of_table[0] if rows_of_table else ()))))
+        complete = {(row["structure"], row["key"]) for row in rows_of_table}
+        traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in complete]
+        _replace(self.summary, self.columns, rows_of_table)
         _replace(self.traces, TRACE_COLUMNS, traces)
-        return done
+        return finished_jobs
 
     def append(self, rows: Iterable[Row]) -> None:
         """Append all rows of a structure."""
         rows = list(rows)
-        own = {name: rows[0].record[name] for name in ("structure", "key")}
-        traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
+        identity = {name: rows[0].record[name] for name in ("structure", "key")}
+        traces = [identity | {"method": row.record["method"]} | point for row in rows for point in row.trace]
         _append(self.traces, csv_text(TRACE_COLUMNS, traces))
         _append(self.summary, csv_text(self.columns, [row.record for row in rows]))
 
@@ -220,13 +220,13 @@ def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
 def _append(path: Path, text: str) -> None:
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
     # Names of files may be no UTF-8.
-    whole, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
+    size, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
         with saving(path, "the structures done before"):
             if os.write(file, data) < len(data):  # On a full disk a part is written.
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except WriteError:
-        os.ftruncate(file, whole)
+        os.ftruncate(file, size)
         raise
     finally:
         os.close(file)
@@ -242,8 +242,8 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
         return
     with regular(path).open(newline="", encoding="utf-8", errors="replace") as file:
         columns, seen, numbers = None, set[tuple[str, ...]](), list[tuple[int, Callable[[str], float]]]()
-        whole = (line for line in file if line.endswith("\n"))
-        for cells in csv.reader(whole):
+        complete = (line for line in file if line.endswith("\n"))
+        for cells in csv.reader(complete):
             if columns is None:
                 columns = cells
                 numbers = [(i, _NUMBERS[name]) for i, name in enumerate(columns) if name in _NUMBERS]

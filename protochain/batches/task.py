@@ -55,20 +55,20 @@ class Task:
     def run(self, threads: int) -> Iterator[Row]:
         """Minimise or relax a structure by all methods; write its structures and its page."""
         job, began = self.job, perf_counter()
-        done: list[Row] = []
+        rows: list[Row] = []
         ends: dict[str, tuple[Structure, Structure | None]] = {}
         try:
             for row, structure, end in _solve(job, self.folder, threads):
-                done.append(row)
+                rows.append(row)
                 ends[row.record["method"]] = structure, end
-                if len(done) == len(job.settings.methods):
+                if len(rows) == len(job.settings.methods):
                     try:
-                        write_page(self.folder, job, done, structure.repairs, ends)
+                        write_page(self.folder, job, rows, structure.repairs, ends)
                     except Exception as error:  # The result is there; with space, the page may be made.
                         row.record["status"], row.record["message"] = reason(error, job.path)
                 yield row
         except Exception as error:
-            yield from self.lost(done, *reason(error, job.path), perf_counter() - began)
+            yield from self.lost(rows, *reason(error, job.path), perf_counter() - began)
 
     def lost(self, done: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were not done when the process ended."""
@@ -86,7 +86,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
     s = job.settings
     began = perf_counter()
     of = {method: s.of_relaxing if method == RELAX else s.setup for method in s.methods}
-    prepared = {setup: _prepared(job.path, replace(setup, threads=threads)) for setup in {*of.values()}}
+    prepared = {setup: _prepare(job.path, replace(setup, threads=threads)) for setup in {*of.values()}}
     chain = None if s.methods == (RELAX,) else s.setup.chain(prepared[s.setup][0])
     preparation = perf_counter() - began
     reference: tuple[Structure, Floats] | None = None
@@ -119,7 +119,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         yield Row(record, thinned(trace)), structure, result.structure if result.is_usable else None
 
 
-def _prepared(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
+def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
     from protochain.energies.shared import shared_energy
 
     # Standard input is that of this process, which has the jobs on it.
@@ -147,6 +147,6 @@ def _run(
 
     if s.n_starts == 1:
         return minimise(chain, energy, method, **s.minimising), {"n_starts": 1}
-    found = explore(chain, energy, method, s.n_starts, spread=s.spread, **s.minimising)
-    overall = found.overall()
-    return found.best, overall.pop("starts_summary") | overall
+    search = explore(chain, energy, method, s.n_starts, spread=s.spread, **s.minimising)
+    overall = search.overall()
+    return search.best, overall.pop("starts_summary") | overall

@@ -62,7 +62,7 @@ class _Commands(TyperGroup):
             return super().invoke(ctx)
         except (KeyboardInterrupt, SystemError) as error:
             # SystemError is what compiled code makes of one that it did not expect.
-            if not any(isinstance(each, KeyboardInterrupt) for each in (error, error.__cause__)):
+            if not any(isinstance(cause, KeyboardInterrupt) for cause in (error, error.__cause__)):
                 raise
             raise typer.Exit(fail(_NO_RESULT, INTERRUPTED)) from None
 

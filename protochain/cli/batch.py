@@ -68,23 +68,23 @@ def batch(
     if "-" not in (inputs or ()):
         options.refuse(context, "null", "is of names on standard input, which is not asked for (-)")
     # Standard input can be read only once.
-    given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
+    lines = [line for source in inputs or () for line in (listed(null) if source == "-" else [source])]
     if dry_run:
-        jobs = find_jobs(given, settings, manifest, output)
+        jobs = find_jobs(lines, settings, manifest, output)
         if as_json:
-            found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
-            options.print_json({"structures": found})
+            rows = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
+            options.print_json({"structures": rows})
         else:
             print_jobs(jobs)
         raise typer.Exit(options.CONVERGED)
     check_figure(figure)
     options.check_outputs([manifest], [*replaced(output, SUMMARY, resume, force), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
-        done = run(
-            given, output, manifest=manifest, resume=resume, force=force, watch=watch,
+        result = run(
+            lines, output, manifest=manifest, resume=resume, force=force, watch=watch,
             workers=workers, scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
         )  # fmt: skip
     if figure:
-        write_figure(figure, partial(plot_distributions, done.table))
-    show = partial(print_batch, done.table, str(done.report))
-    options.end_folder(output, show, as_json, done.interrupted, options.batch_status(done))
+        write_figure(figure, partial(plot_distributions, result.table))
+    show = partial(print_batch, result.table, str(result.report))
+    options.end_folder(output, show, as_json, result.interrupted, options.batch_status(result))

@@ -50,13 +50,13 @@ def ensemble(
     def read(its: Path | None) -> "Clusters":
         return cluster_frames(source, its, frames, by=by, within=within, measure=measure, **vars(setup))
 
-    found = read(trajectory)
-    table = found.fluctuations
+    clusters = read(trajectory)
+    table = clusters.fluctuations
     if after:
         moved = read(after).fluctuations["ca_fluctuation_angstrom"]
         table = table.assign(ca_fluctuation_after_angstrom=moved)
-    save(found.medoids, output)
-    its = found.table
+    save(clusters.medoids, output)
+    its = clusters.table
     rows = [
         {
             "cluster": k + 1, "frames": int((its["cluster"] == k + 1).sum()), "medoid": int(frame),

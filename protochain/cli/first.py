@@ -31,9 +31,9 @@ def minimised_first(
     from protochain.minimisers import minimise
 
     with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:
-        done = minimise(chain, energy, METHOD, tolerance, seed=seed, restraint=restraint, watch=watch)
-    if done.status == "interrupted":
+        solution = minimise(chain, energy, METHOD, tolerance, seed=seed, restraint=restraint, watch=watch)
+    if solution.status == "interrupted":
         raise KeyboardInterrupt
-    energies = f"{done.start.energy:.1f} -> {done.end.energy:.1f} kJ/mol"
-    energies += ", restraints {:.1f} -> {:.1f}".format(*done.restraints) if done.restraints else ""
-    return done, f"minimised first: {energies}, C-alpha RMSD {done.ca_rmsd_angstrom:.2f} angstrom"
+    energies = f"{solution.start.energy:.1f} -> {solution.end.energy:.1f} kJ/mol"
+    energies += ", restraints {:.1f} -> {:.1f}".format(*solution.restraints) if solution.restraints else ""
+    return solution, f"minimised first: {energies}, C-alpha RMSD {solution.ca_rmsd_angstrom:.2f} angstrom"

@@ -75,10 +75,12 @@ def run_if_asked(
     options.refuse(context, refused, "is none of frames")
     source = only(given)
     with started_early(setup, how["workers"]):
-        its = task()
-        table = table or Path(f"{options.named_after(source)[0]}.{_ENDINGS.get(its.name, its.name)}.csv")
+        frame_task = task()
+        table = table or Path(
+            f"{options.named_after(source)[0]}.{_ENDINGS.get(frame_task.name, frame_task.name)}.csv"
+        )
         how.setdefault("force", not how["resume"])
-        raise typer.Exit(run(source, trajectory, frames, setup, its, table, **how))
+        raise typer.Exit(run(source, trajectory, frames, setup, frame_task, table, **how))
 
 
 _ENDINGS = {"validate": "validated"}
@@ -107,7 +109,7 @@ def opened(
     if trajectory is None and str(source) == "-":
         raise ProtochainError("frames: standard input is read once; give a file")
     ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
-    noted = [each for each in ensemble.structure.repairs if each.kind is not Kind.MODELS_LEFT_OUT]
+    noted = [repair for repair in ensemble.structure.repairs if repair.kind is not Kind.MODELS_LEFT_OUT]
     options.print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
     return ensemble, chosen
 
@@ -174,7 +176,7 @@ def _print(done: "FramesRun", report: Path | None) -> None:
     print(f"{counted(sum(done.counts.values()), 'frame')}: {counts or 'none done'}")
     if done.counts:
         print(_medians(done))
-        if parted := _parted(done):
+        if parted := _count_split_frames(done):
             print(parted)
     trajectory = done.trajectory if done.written and not done.interrupted else None
     options.print_files(trajectory, done.topology, done.csv, report)
@@ -184,7 +186,7 @@ _PARTED = 10.0
 """Angstrom: molecules that touch in the structure and lie so far apart in a frame may be in two images."""
 
 
-def _parted(done: "FramesRun") -> str:
+def _count_split_frames(done: "FramesRun") -> str:
     """In how many frames molecules that touch in the structure lie far apart, and how far."""
     import pandas as pd
 
@@ -205,8 +207,8 @@ def _medians(done: "FramesRun") -> str:
 
     from protochain.results.columns import heading
 
-    there = pd.read_csv(done.csv, nrows=0).columns
-    columns = [name for name in _SHOWN_COLUMNS if name in there]
+    existing = pd.read_csv(done.csv, nrows=0).columns
+    columns = [name for name in _SHOWN_COLUMNS if name in existing]
     table = pd.read_csv(done.csv, usecols=columns)
     sums = (
         [
@@ -216,8 +218,8 @@ def _medians(done: "FramesRun") -> str:
         if "violations_end" in columns
         else []
     )
-    named = [name for name in columns if name not in ("violations_start", "violations_end")]
-    medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in named]
+    measures = [name for name in columns if name not in ("violations_start", "violations_end")]
+    medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in measures]
     highest = []
     for name in [name for name in _WORST if name in columns and table[name].nunique() > 1][:1]:
         rows = pd.read_csv(done.csv, usecols=["frame", name]).nlargest(3, name)

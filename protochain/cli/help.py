@@ -29,10 +29,12 @@ class Command(TyperCommand):
         """Write arguments and options, a section each group."""
         group = {name: title for title, names in _GROUPS.items() for name in names.split()}
         params = self.get_params(ctx)
-        named = {param.name for param in params if param.param_type_name == "option"}
-        first = [name for name in _FIRST if name in named][:_FEW]
+        options = {param.name for param in params if param.param_type_name == "option"}
+        first = [name for name in _FIRST if name in options][:_FEW]
         rows: dict[str, list[tuple[str, str]]] = {title: [] for title in _ORDER}
-        for param in sorted(params, key=lambda each: first.index(each.name) if each.name in first else _FEW):
+        for param in sorted(
+            params, key=lambda option: first.index(option.name) if option.name in first else _FEW
+        ):
             record = param.get_help_record(ctx)
             if record:
                 title = "Used most" if param.name in first else group.get(param.name, "Method")

@@ -94,14 +94,16 @@ def minimise(
         solve: Any = partial(_once, trajectory=trajectory, **vars(saving), **settings)
     else:
         refuse_held(minimising.restraint, minimising.max_rmsd)
-        solve = partial(_often, **vars(starting), **settings)
-    most = minimising.max_evaluations
-    lengths = starting.n_starts * terminal.typical_evaluations(chosen, most), starting.n_starts * most
+        solve = partial(_minimise_often, **vars(starting), **settings)
+    limit = minimising.max_evaluations
+    lengths = starting.n_starts * terminal.typical_evaluations(chosen, limit), starting.n_starts * limit
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
-        for own, path in runs:
+        for run_setup, path in runs:
             with timed(from_start=not records):
-                records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
+                records.append(
+                    _solve_and_write(context, source, run_setup, path, chosen, solve, lengths, write, beside)
+                )
             if records[-1]["status"] == "interrupted":
                 break
     with options.beside_structure(output):
@@ -136,12 +138,12 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
     if str(output) == options.STANDARD_OUTPUT and not one_file:
         raise ProtochainError("output -: several models are several files; give --one-file to join them")
     numbers = tuple(model_numbers(source))
-    asked = numbers if setup.model == ALL_MODELS else models_asked(setup.model)
-    refuse_absent(str(source), numbers, asked)
+    models = numbers if setup.model == ALL_MODELS else models_asked(setup.model)
+    refuse_absent(str(source), numbers, models)
     stem, suffix, packing = split_name(output)
     return [
         (replace(setup, model=n), output if one_file else output.with_name(f"{stem}.{n}{suffix}{packing}"))
-        for n in asked
+        for n in models
     ]
 
 
@@ -171,7 +173,7 @@ class _Writer:
             options.write_models(models, self.output, self.suffix, noted)
 
 
-def _solved(
+def _solve_and_write(
     context: typer.Context,
     source: Path,
     setup: Setup,
@@ -186,15 +188,15 @@ def _solved(
     chain, energy, preparation = options.prepare(source, setup)
     options.check_structure(chain.structure, output, beside["ligands"])
     troubled = terminal.print_outlook(source, chain.structure, method)
-    typical, most = lengths
+    typical, longest = lengths
     times = terminal.TROUBLED if troubled else 1
-    terminal.foretell(source, chain, energy, min(most, times * typical), most)
+    terminal.foretell(source, chain, energy, min(longest, times * typical), longest)
     context.with_resource(held_interrupts())
-    solution, told = solve(chain, energy)
+    solution, record = solve(chain, energy)
     model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-    done = partial(write, solution, output)
-    return options.written(solution, told | model | origin, done, setup, _write_page, **beside)
+    finish = partial(write, solution, output)
+    return options.written(solution, record | model | origin, finish, setup, _write_page, **beside)
 
 
 def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> None:
@@ -229,11 +231,11 @@ def _warnings(lost: list[str]) -> Iterator[None]:
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", WriteWarning)
         yield
-    for each in warned:
-        if each.category is WriteWarning:
-            lost.append(str(each.message))
+    for warning in warned:
+        if warning.category is WriteWarning:
+            lost.append(str(warning.message))
         else:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
 class _Frames:
@@ -271,13 +273,13 @@ class _Frames:
             self.file.discard()
 
 
-def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:
+def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:
     """Minimise from many starts; return the best solution, and what its record says of all."""
     from protochain.minimisers import explore
 
     with terminal.run_progress(settings["method"], settings["max_evaluations"]) as watch:
-        found = explore(chain, energy, watch=watch, **settings)
-    return found.best, found.overall()
+        search = explore(chain, energy, watch=watch, **settings)
+    return search.best, search.overall()
 
 
 def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> None:

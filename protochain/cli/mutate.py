@@ -73,8 +73,8 @@ def mutate(
     from protochain.relaxation.mutations import PROTOCOL, mutated, places_of
 
     if (mutations is None) == (scan is None):
-        both = ", not both" if scan else ""
-        raise ProtochainError(f"mutate: give mutations, as A:L45F, or --scan SITES{both}")
+        conflict = ", not both" if scan else ""
+        raise ProtochainError(f"mutate: give mutations, as A:L45F, or --scan SITES{conflict}")
     relaxing = replace(relaxing, **PROTOCOL)
     if scan is not None:
         raise typer.Exit(
@@ -93,18 +93,18 @@ def mutate(
     options.print_changes(source, structure)
     names = places_of(structure, mutations)
     origin = {"input": str(source), "output": str(output), "seconds_preparation": perf_counter() - began}
-    done = mutated(structure, names, relaxing, setup, {})
+    mutation = mutated(structure, names, relaxing, setup, {})
 
-    if not done.mutant.is_usable:
-        raise SystemExit(options.fail(f"{source}: {done.mutant.message}; nothing is written"))
-    options.write_models([done.structure], output, suffix, done.mutant.provenance())
+    if not mutation.mutant.is_usable:
+        raise SystemExit(options.fail(f"{source}: {mutation.mutant.message}; nothing is written"))
+    options.write_models([mutation.structure], output, suffix, mutation.mutant.provenance())
     if as_json:
-        options.print_json(done.record() | origin)
+        options.print_json(mutation.record() | origin)
     else:
         with options.beside_structure(output):
-            _print(done)
+            _print(mutation)
             options.print_files(output)
-    raise typer.Exit(options.exit_status([str(done.mutant.status)]))
+    raise typer.Exit(options.exit_status([str(mutation.mutant.status)]))
 
 
 def _print(done: "Mutation") -> None:
@@ -143,16 +143,16 @@ def _scan(
         structure = setup.load(source)
         options.print_changes(source, structure)
         with count_progress("mutate") as watch:
-            found, interrupted = run_scan(
+            mutations, interrupted = run_scan(
                 structure, sites, into, relaxing, setup, table, processes, resume, watch
             )  # fmt: skip
-    report = report if len(found) else None  # There is nothing to draw.
+    report = report if len(mutations) else None  # There is nothing to draw.
     if report:
         from protochain.results.page import write_scan
 
-        its = found.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
-        write_scan(report, f"Mutations of {structure.name}", _TEXT, heat_map(found), its)
-    rows: Any = found.astype(object).where(found.notna(), None).to_dict("records")
+        shown_columns = mutations.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
+        write_scan(report, f"Mutations of {structure.name}", _TEXT, heat_map(mutations), shown_columns)
+    rows: Any = mutations.astype(object).where(mutations.notna(), None).to_dict("records")
     if as_json:
         files = [str(path) for path in (table, report) if path]
         noted = {"input": str(source), "sites": sites, "into": into}

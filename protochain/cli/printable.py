@@ -16,7 +16,7 @@ _UNUSUAL = re.compile(r"[^\n\t -~]")
 
 def printable(text: str) -> str:
     """Text in which characters that are not to be seen, as control characters, are as ``repr`` has them."""
-    return _UNUSUAL.sub(lambda found: found[0] if found[0].isprintable() else ascii(found[0])[1:-1], text)
+    return _UNUSUAL.sub(lambda match: match[0] if match[0].isprintable() else ascii(match[0])[1:-1], text)
 
 
 class Printable:

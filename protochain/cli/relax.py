@@ -82,9 +82,9 @@ def relax(
     several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_asked(trajectory, frames):
         if several:
-            others = Argument("manifest"), ", ", Argument("model"), " all or poses"
-            options.refuse(context, "trajectory frames", "is of one structure, not of ", *others)
-        output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
+            exclusive = Argument("manifest"), ", ", Argument("model"), " all or poses"
+            options.refuse(context, "trajectory frames", "is of one structure, not of ", *exclusive)
+        output = _output_of_frames(trajectory or of_frames.only(inputs or [])) if output is None else output
         of_frames.run_if_asked(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
             output.with_suffix(".csv"), refused="scheduler ligand_out posebusters timings", output=output,
@@ -101,11 +101,13 @@ def relax(
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
 
-    beside = [ligand_out] if ligand_out else []
+    extra_outputs = [ligand_out] if ligand_out else []
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume, force)
+        _several(
+            inputs or [], output, manifest, relaxing, setup, extra_outputs, processes, as_json, resume, force
+        )
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
@@ -117,7 +119,7 @@ def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
     return RelaxFrames(relaxing, setup)
 
 
-def _beside(frames: Path) -> Path:
+def _output_of_frames(frames: Path) -> Path:
     """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
     from protochain.structure.formats.files import format_of
@@ -187,9 +189,9 @@ def _tell_frames(inputs: list[str]) -> None:
     from protochain.structure.formats.files import format_of
     from protochain.structure.formats.frames import trajectories
 
-    for given in filter(os.path.isdir, inputs):
-        for path in trajectories(Path(given)):
-            models = [each for each in path.parent.iterdir() if format_of(each)]
+    for folder in filter(os.path.isdir, inputs):
+        for path in trajectories(Path(folder)):
+            models = [candidate for candidate in path.parent.iterdir() if format_of(candidate)]
             of = str(models[0]) if len(models) == 1 else "TOPOLOGY"
             command = shlex.join(["protochain", "relax", of, "--trajectory", str(path)])
             print(f"{path}: is left out; to relax its frames: {command}", file=sys.stderr)
@@ -217,16 +219,16 @@ def _several(
     options.check_outputs([manifest], [*replaced(folder, RELAXED, resume, force), *beside], setup)
     _tell_frames(inputs)
     with batch_progress() as watch:
-        done = relax_files(
+        result = relax_files(
             inputs, folder, relaxing, setup, manifest=manifest, resume=resume, force=force, watch=watch,
             **processes,
         )  # fmt: skip
     for path in beside:
-        written = done.table.dropna(subset="output")["structure"]
+        written = result.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
 
     def show() -> None:
-        print_folder(done.table, folder)
+        print_folder(result.table, folder)
         options.print_files(*beside)
 
-    options.end_folder(folder, show, as_json, done.interrupted, options.batch_status(done))
+    options.end_folder(folder, show, as_json, result.interrupted, options.batch_status(result))

@@ -39,12 +39,12 @@ def conclude(
         if path:
             write_atomically(path, partial(table().to_csv, index=False))
     written = [*filter(None, tables), *files]
-    done = [row for row in rows if not row["message"]]
+    usable = [row for row in rows if not row["message"]]
     if as_json:
         print_json({**noted, "results": rows, "files": [*map(str, written)]})
     else:
-        if done:
-            show(done)
+        if usable:
+            show(usable)
         print_files(*written)
     status = "measured" if is_sound else "overlaps"
     raise typer.Exit(exit_status("refused" if row["message"] else status for row in rows))

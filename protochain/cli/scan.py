@@ -34,9 +34,9 @@ def scan(
     from protochain.core.storage import write_atomically
     from protochain.results.page import write_scan
 
-    read = [_read(each) for each in grids]
-    asked = dict(read)
-    if len(asked) < len(read):
+    read = [_read(axis) for axis in grids]
+    axes = dict(read)
+    if len(axes) < len(read):
         raise ProtochainError(f"{' '.join(map(repr, grids))}: give each hinge once")
     table = output or Path(f"{options.named_after(source)[0]}.scan.csv")
     options.check_page(report)
@@ -44,19 +44,19 @@ def scan(
     options.check_outputs([source], files, setup)
     chain, energy, _ = options.prepare(source, setup)
     with count_progress("scan") as watch:
-        found = run(chain, energy, asked, relax=relax, watch=watch)
-    write_atomically(table, lambda to: found.to_csv(to, index=False))
+        points = run(chain, energy, axes, relax=relax, watch=watch)
+    write_atomically(table, lambda to: points.to_csv(to, index=False))
     if report:
-        what = "minimised in all other hinges" if relax else "with all other hinges as they are"
-        text = f"Energy of {chain.structure.name} against its dihedrals, {what}."
-        write_scan(report, f"Scan of {chain.structure.name}", text, energy_map(found), found)
-    lowest: dict[str, float] = found.nsmallest(1, ENERGY)[[*asked, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
+        method = "minimised in all other hinges" if relax else "with all other hinges as they are"
+        text = f"Energy of {chain.structure.name} against its dihedrals, {method}."
+        write_scan(report, f"Scan of {chain.structure.name}", text, energy_map(points), points)
+    lowest: dict[str, float] = points.nsmallest(1, ENERGY)[[*axes, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
     if as_json:
-        told = {"input": str(source), "n_points": len(found), "lowest": lowest}
-        options.print_json(told | {"files": [*map(str, files)]})
+        record = {"input": str(source), "n_points": len(points), "lowest": lowest}
+        options.print_json(record | {"files": [*map(str, files)]})
     else:
-        at = ", ".join(f"{name} {lowest[name]:g}" for name in asked)
-        print(f"{len(found)} points; the lowest, {lowest[ENERGY]:.2f} kJ/mol, at {at} degrees")
+        at = ", ".join(f"{name} {lowest[name]:g}" for name in axes)
+        print(f"{len(points)} points; the lowest, {lowest[ENERGY]:.2f} kJ/mol, at {at} degrees")
         options.print_files(*files)
 
 
@@ -65,7 +65,7 @@ def _read(given: str) -> tuple[str, list[float]]:
     name, sign, values = given.rpartition("=")
     parts = re.split(r"[:,]", values)
     try:
-        numbers = [float(each) for each in parts]
+        numbers = [float(part) for part in parts]
     except ValueError:
         numbers = []
     if ":" in values and len(numbers) == 3:

@@ -26,12 +26,12 @@ def schema(
     from protochain.cli.contracts import CONTRACTS
     from protochain.core.checks import refuse_unknown
 
-    known = versions()
+    schema_versions = versions()
     if command is None:
-        for name, (version, _) in known.items():
+        for name, (version, _) in schema_versions.items():
             print(f"{name:<9} {version}  {', '.join(['--json', *CONTRACTS[name].tables])}")
         return
-    refuse_unknown(command, "command", known)
+    refuse_unknown(command, "command", schema_versions)
     print(json.dumps(schema_of(command), indent=2))
 
 

@@ -42,8 +42,8 @@ def search(
     from protochain.searching.search_chain import check_folder
     from protochain.structure import from_sequence
 
-    named = str(source) if is_sequence(source) else options.named_after(source)[0]
-    output = output or Path(f"{named}-search")
+    title = str(source) if is_sequence(source) else options.named_after(source)[0]
+    output = output or Path(f"{title}-search")
     if searching.method == "csa":
         options.refuse(context, "temperatures", "csa has none")
     if searching.method != "tempering":
@@ -52,10 +52,12 @@ def search(
     context.with_resource(claim_folder(output, "search", running.resume))
     setup = replace(setup, threads=1)
     if is_sequence(source):
-        for name, its in settings_of(Setup):
+        for name, setting in settings_of(Setup):
             if name not in (*OF_ENERGY, "hinges", "move"):
                 options.refuse(
-                    context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence"
+                    context,
+                    f"{name} {setting.word[0] if setting.word else ''}",
+                    "is of files; this is a sequence",
                 )
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
@@ -64,13 +66,13 @@ def search(
         options.check_outputs([source], files, setup, replaces=not running.resume)
         chain, energy, _ = options.prepare(source, setup)
     count = min(processors(), searching.n_walkers) if workers is None else workers
-    with search_progress(named) as watch:
-        done = run(
+    with search_progress(title) as watch:
+        result = run(
             chain, energy, output=output, workers=count, scheduler=scheduler, watch=watch,
             **vars(running), **vars(searching),
         )  # fmt: skip
-    status = options.INTERRUPTED if done.interrupted else options.CONVERGED
-    options.end_folder(output, partial(print_search, done, output), as_json, done.interrupted, status)
+    status = options.INTERRUPTED if result.interrupted else options.CONVERGED
+    options.end_folder(output, partial(print_search, result, output), as_json, result.interrupted, status)
 
 
 def is_sequence(source: Path) -> bool:

@@ -86,7 +86,7 @@ def validate(
     of_residues: list[DataFrame] = []
     changed: list[DataFrame] = []
     # Structures are not kept: there may be thousands.
-    for name, result in _validated(files, compared, posebusters):
+    for name, result in _validate_files(files, compared, posebusters):
         if isinstance(result, ProtochainError):
             rows.append(refused(result, file=name))
             continue
@@ -117,7 +117,7 @@ def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
     """What JSON has of a structure; the lists in it are not in its table."""
     row = {
         **result.record(), "added": result.added, "findings": result.listing(), "message": "",
-        "ligands": [each.record() for each in result.ligands],
+        "ligands": [ligand.record() for ligand in result.ligands],
         "nucleotides": result.nucleotide_table.to_dict("records"),
     }  # fmt: skip
     if between:
@@ -125,18 +125,18 @@ def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
     return row
 
 
-def _validated(
+def _validate_files(
     files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None", posebusters: bool
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
     """Name and validation of each structure, or why there is none."""
     from protochain.validation import validate
 
-    for name, path, own in files:
-        named = f"{name}, model {own.model}" if own.model is not None else name
+    for name, path, file_setup in files:
+        title = f"{name}, model {file_setup.model}" if file_setup.model is not None else name
         try:
-            yield named, validate(own.load(path), reference, posebusters)
+            yield title, validate(file_setup.load(path), reference, posebusters)
         except ProtochainError as error:
-            yield named, error
+            yield title, error
 
 
 def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
@@ -151,9 +151,9 @@ def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
         print_rows(["file", *shown.values()], cells)
     for row in rows:
         lines = row["findings"]
-        more = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
+        further = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = mapping and f"chains of the reference and their match: {mapping}"
-        noted = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and more]
+        noted = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and further]
         if any(noted):
             print(f"{row['file']}:", *filter(None, noted), sep="\n  ")

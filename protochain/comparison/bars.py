@@ -81,7 +81,7 @@ class _Bar:
             self.task,
             completed=row.get("evaluations", row.get("step", 0)),
             unit="steps" if "step" in row else "evaluations",
-            now="".join(f", {each}" for each in now),
+            now="".join(f", {value}" for value in now),
             refresh=is_due,
         )
         self.shown = monotonic() if is_due else self.shown

@@ -23,16 +23,16 @@ def colourings(
     # Of a callable, and of a System that the native engine cannot compute, there are none of the energy.
     start = next(iter(ends.values()))
     native = native_of(energy)
-    found = list[Colouring]()
+    result = list[Colouring]()
     if native is not None:
         shares = {name: decomposed(each, native, each.positions).shares for name, each in ends.items()}
-        found += of_energies(shares)
+        result += of_energies(shares)
     if changes:
         turned = {name: _of_residues(start, each, "torsions_degrees") for name, each in changes.items()}
-        found.append(Colouring("change of torsions, degrees", turned))
+        result.append(Colouring("change of torsions, degrees", turned))
     if np.nan_to_num(start.b_factor).any():
-        found.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
-    return found
+        result.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
+    return result
 
 
 def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
@@ -55,8 +55,8 @@ def _of_residues(structure: Structure, changes: Differences, column: str) -> Flo
     of = changes.residues
     noted = dict(zip(zip(of["chain"], of["residue"], strict=True), of[column], strict=True))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
-    named = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
-    return np.array([noted.get(name, np.nan) for name in named], dtype=float)
+    residues = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
+    return np.array([noted.get(name, np.nan) for name in residues], dtype=float)
 
 
 def _mean_b_factor(structure: Structure) -> Floats:

@@ -91,9 +91,9 @@ def compare(
         refuse_unknown(name, "setting", SETTINGS)
     runs = [Minimisation(recipe, tolerance=tolerance, **settings) for recipe in recipes.values()]
     chain, energy = with_energy(structure, energy)
-    known = None if reference is None else as_structure(reference)
-    if known is not None:
-        match(known, chain.structure)  # What cannot be measured is said before the work.
+    reference_structure = None if reference is None else as_structure(reference)
+    if reference_structure is not None:
+        match(reference_structure, chain.structure)  # What cannot be measured is said before the work.
     for run in runs:
         run.recipe.check(energy)
     start = Start(chain, energy, runs[0].judge)
@@ -113,4 +113,6 @@ def compare(
             (further if k else solutions).append(solution)
         if interrupted:
             break
-    return Comparison(chain.structure, tuple(solutions), reference=known, repeats=tuple(further))
+    return Comparison(
+        chain.structure, tuple(solutions), reference=reference_structure, repeats=tuple(further)
+    )

@@ -164,9 +164,9 @@ class Comparison:
         """Cost to come within 100, 10 and 1 kJ/mol of the lowest end with the same degrees of freedom."""
         lowest = {
             s.method: min(
-                other.end.energy
-                for other in self.solutions + self.repeats
-                if other.keeps_geometry == s.keeps_geometry
+                solution.end.energy
+                for solution in self.solutions + self.repeats
+                if solution.keeps_geometry == s.keeps_geometry
             )
             for s in self.solutions
         }
@@ -211,7 +211,7 @@ class Comparison:
 
     def plot_differences(self, ax: Any = None) -> Figure:
         """Change of each residue's torsions, and how far its C-alpha moved, one line per method."""
-        changes = {name: each.residues for name, each in self.differences.items()}
+        changes = {name: difference.residues for name, difference in self.differences.items()}
         return plots.plot_differences(changes, self.structure.name, ax)
 
     def plot_ramachandran(self, ax: Any = None) -> Figure:
@@ -259,9 +259,11 @@ class Comparison:
             clear(folder)
             return _write_files(self, folder)
         except WriteError as error:
-            there = ", ".join(sorted(path.name for path in folder.glob("*") if not path.name.startswith(".")))
+            existing = ", ".join(
+                sorted(path.name for path in folder.glob("*") if not path.name.startswith("."))
+            )
             raise error.with_saved(
-                f"{folder}: {there}" if there else "nothing", "run again with ", Argument("force", True)
+                f"{folder}: {existing}" if existing else "nothing", "run again with ", Argument("force", True)
             ) from error
 
     def write_page(self, path: Path) -> None:
@@ -296,7 +298,7 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
         "traces": comparison.traces,
         "differences": pd.DataFrame(
-            [{"method": name, **each.totals} for name, each in comparison.differences.items()]
+            [{"method": name, **difference.totals} for name, difference in comparison.differences.items()]
         ),
         "residue_differences": joined(comparison.differences, "residues"),
         "bonds_changed": joined(comparison.differences, "bonds"),

@@ -87,14 +87,14 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     1.0
     """
     reference, model = measurable(reference), measurable(model)
-    found = match(reference, model)
-    aligned = _atoms(reference, model, found, align)
-    measured = aligned if measure == align else _atoms(reference, model, found, measure)
+    matches = match(reference, model)
+    aligned = _atoms(reference, model, matches, align)
+    measured = aligned if measure == align else _atoms(reference, model, matches, measure)
     turn, shift = motion(model.positions[aligned[1]], reference.positions[aligned[0]])
     x, y = model.positions[measured[1]], reference.positions[measured[0]]
     return Deviation(
         deviation_angstrom(x @ turn.T + shift, y), deviation_angstrom(x, y),
-        tm_score(reference, model, found), len(aligned[0]), len(measured[0]), found,
+        tm_score(reference, model, matches), len(aligned[0]), len(measured[0]), matches,
     )  # fmt: skip
 
 
@@ -159,12 +159,18 @@ def docked(reference: Structure, model: Structure, first: str, second: str) -> d
     """C-alpha RMSD of either side of a complex, superposed by itself, and of the second with the first."""
     found, pairs = match(reference, model), list[tuple[Floats, Floats]]()
     for side in sides(reference, first, second):
-        own = np.flatnonzero(side[reference.atom_residue])
-        at = _atoms(reference, model, found, f"name CA and index {' '.join(map(str, own.tolist()))}")
+        atoms_of_side = np.flatnonzero(side[reference.atom_residue])
+        at = _atoms(
+            reference, model, found, f"name CA and index {' '.join(map(str, atoms_of_side.tolist()))}"
+        )
         pairs.append((model.positions[at[1]], reference.positions[at[0]]))
-    (x, y), (moved, kept) = pairs
+    (x, y), (moved, fixed) = pairs
     turn, shift = motion(x, y)
-    values = rmsd_angstrom(x, y), rmsd_angstrom(moved, kept), deviation_angstrom(moved @ turn.T + shift, kept)
+    values = (
+        rmsd_angstrom(x, y),
+        rmsd_angstrom(moved, fixed),
+        deviation_angstrom(moved @ turn.T + shift, fixed),
+    )
     return dict(zip(DOCKED, values, strict=True))
 
 

@@ -91,9 +91,12 @@ def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
 
 def totals_of(found: Mapping[str, Differences]) -> pd.DataFrame:
     """Totals of several differences: a column each behind ``quantity``, which says them in words."""
-    keys = dict.fromkeys(key for each in found.values() for key in each.totals)
+    keys = dict.fromkeys(key for difference in found.values() for key in difference.totals)
     rows = [
-        {"quantity": _in_words(key), **{name: each.totals.get(key) for name, each in found.items()}}
+        {
+            "quantity": _in_words(key),
+            **{name: difference.totals.get(key) for name, difference in found.items()},
+        }
         for key in keys
     ]
     return pd.DataFrame(rows, columns=["quantity", *found])
@@ -104,16 +107,16 @@ def _in_words(key: str) -> str:
     for quantity in (_RMSD, _TURN):
         part = key.removeprefix(f"{quantity}_")
         if part != key:
-            what, _, unit = heading(quantity).partition(", ")
+            label, _, unit = heading(quantity).partition(", ")
             if not part.startswith(_DOMAIN) and part not in FOLD.values():
                 part = f"chain {part}"
-            return f"{what} of {part.replace('_', ' ')}, {unit}"
+            return f"{label} of {part.replace('_', ' ')}, {unit}"
     return heading(key)
 
 
 def joined(found: Mapping[str, Differences], table: str) -> pd.DataFrame:
     """One table, ``residues`` or ``bonds``, of several differences, the name of each in ``method``."""
-    parts = [getattr(each, table) for each in found.values()]
+    parts = [getattr(difference, table) for difference in found.values()]
     if not parts:
         return pd.DataFrame(columns=["method"])
     return pd.concat(parts, keys=found, names=["method"]).reset_index(level=0).reset_index(drop=True)
@@ -154,16 +157,18 @@ def differences(before: Any, after: Any) -> Differences:
     """
     first, second = as_structure(before), as_structure(after)
     found = match(first, second)
-    turned = _turned(first, second, found)
-    alphas = [layout(s).atoms("CA")[its, 0] for s, its in ((first, found.reference), (second, found.model))]
-    there = (np.array(alphas) != NONE).all(axis=0)
+    turned = _turn_angles(first, second, found)
+    alphas = [
+        layout(s).atoms("CA")[indices, 0] for s, indices in ((first, found.reference), (second, found.model))
+    ]
+    has_alpha = (np.array(alphas) != NONE).all(axis=0)
     x, y = first.positions[alphas[0]], second.positions[alphas[1]]
-    turn, shift = motion(y[there], x[there])
-    moved = np.where(there, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
-    domains, parts = np.zeros(len(there), dtype=int), rigid_domains(x[there], y[there])
+    turn, shift = motion(y[has_alpha], x[has_alpha])
+    moved = np.where(has_alpha, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
+    domains, parts = np.zeros(len(has_alpha), dtype=int), rigid_domains(x[has_alpha], y[has_alpha])
     for k, part in enumerate(parts, 1):
-        domains[np.flatnonzero(there)[part.members]] = k
-    names = [_rotamers(s, its) for s, its in ((first, found.reference), (second, found.model))]
+        domains[np.flatnonzero(has_alpha)[part.members]] = k
+    names = [_rotamers(s, indices) for s, indices in ((first, found.reference), (second, found.model))]
     number = np.char.add(first.residue_number, first.residue_insertion_code)
     table = pd.DataFrame(
         {
@@ -180,12 +185,12 @@ def differences(before: Any, after: Any) -> Differences:
     changed = (names[0] != names[1]) & same & (names[0] != "") & (names[1] != "")
     totals: dict[str, Any] = {"rotamers_changed": int(changed.sum()), **counts}
     totals["contacts_kept"] = _contacts_kept(first, second, found)
-    totals["ca_rmsd_angstrom"] = rmsd_angstrom(y[there], x[there])
+    totals["ca_rmsd_angstrom"] = rmsd_angstrom(y[has_alpha], x[has_alpha])
     for column in ("chain", "secondary_structure"):
         for value in dict.fromkeys(table[column]):
-            mine = there & (table[column] == value).to_numpy()
-            if mine.sum() > 2:
-                totals[f"{_RMSD}_{value or '_'}"] = rmsd_angstrom(y[mine], x[mine])
+            selected = has_alpha & (table[column] == value).to_numpy()
+            if selected.sum() > 2:
+                totals[f"{_RMSD}_{value or '_'}"] = rmsd_angstrom(y[selected], x[selected])
     totals["rigid_domains"] = len(parts)
     for k, part in enumerate(parts, 1):
         totals[f"{_RMSD}_{_DOMAIN}_{k}"] = part.rmsd * ANGSTROM_PER_NM
@@ -194,12 +199,12 @@ def differences(before: Any, after: Any) -> Differences:
     return Differences(table, bonds, totals)
 
 
-def _turned(first: Structure, second: Structure, found: Match) -> Floats:
+def _turn_angles(first: Structure, second: Structure, found: Match) -> Floats:
     """(n, 7) float, degrees from -180 to 180: changes of ``TORSIONS``; NaN where either has none."""
     angles = []
-    for s, its in ((first, found.reference), (second, found.model)):
+    for s, indices in ((first, found.reference), (second, found.model)):
         backbone = np.column_stack(peptides(s, s.positions))
-        angles.append(np.column_stack([backbone, _chis(s)])[its])
+        angles.append(np.column_stack([backbone, _chis(s)])[indices])
     off = (angles[1] - angles[0] + 180.0) % 360.0 - 180.0
     names = first.residue_name[found.reference]
     off[names != second.residue_name[found.model], 3:] = np.nan
@@ -213,9 +218,9 @@ def _chis(s: Structure) -> Floats:
     """(nr, 4) float, degrees."""
     atoms, found = layout(s), np.full((s.n_residues, len(CHIS)), np.nan)
     for name, quadruples in CHI.items():
-        its = np.flatnonzero((s.residue_name == name) & atoms.amino)
+        residues = np.flatnonzero((s.residue_name == name) & atoms.amino)
         for k, four in enumerate(quadruples[: len(CHIS)]):
-            found[its, k] = dihedrals(s.positions, atoms.atoms(*four)[its])
+            found[residues, k] = dihedrals(s.positions, atoms.atoms(*four)[residues])
     return found
 
 
@@ -244,26 +249,26 @@ def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFr
         )
         plural = f"{kind.replace(' ', '_')}s"
         counts[f"{plural}_kept"] = len(before & after)
-        for change, which in (("gained", after - before), ("lost", before - after)):
-            counts[f"{plural}_{change}"] = len(which)
+        for change, pairs in (("gained", after - before), ("lost", before - after)):
+            counts[f"{plural}_{change}"] = len(pairs)
             rows += [
                 {"kind": kind, "change": change, "first": _end(first, i, names[:1]),
                  "second": _end(first, j, names[2:])}
-                for i, j, *names in sorted(which)
+                for i, j, *names in sorted(pairs)
             ]  # fmt: skip
     return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
 
 
 def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers, Integers]:
     """Residues of the first that correspond to those of the first (nr,) and the second (ns,), or ``NONE``."""
-    own, other = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
-    own[found.reference] = other[found.model] = found.reference
+    first_places, second_places = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
+    first_places[found.reference] = second_places[found.model] = found.reference
     # Alignments have amino acids alone: caps, ligands and nucleotides correspond by their names in files.
-    rest = {first.residue(r): r for r in np.flatnonzero(own == NONE).tolist()}
-    for r in np.flatnonzero(other == NONE).tolist():
-        if (place := rest.pop(second.residue(r), NONE)) != NONE:
-            own[place] = other[r] = place
-    return own, other
+    unplaced = {first.residue(r): r for r in np.flatnonzero(first_places == NONE).tolist()}
+    for r in np.flatnonzero(second_places == NONE).tolist():
+        if (place := unplaced.pop(second.residue(r), NONE)) != NONE:
+            first_places[place] = second_places[r] = place
+    return first_places, second_places
 
 
 def _hydrogen_bonds(s: Structure) -> set[tuple[Any, ...]]:
@@ -283,9 +288,9 @@ def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:
     place = np.full(second.n_residues, NONE)
     place[found.model] = found.reference
     matched = {*found.reference.tolist()}
-    mine = {pair for pair in _contacts(first) if {*pair} <= matched}
-    theirs = {tuple(sorted((int(place[i]), int(place[j])))) for i, j in _contacts(second)}
-    return len(mine & theirs) / len(mine) if mine else float("nan")
+    first_pairs = {pair for pair in _contacts(first) if {*pair} <= matched}
+    second_pairs = {tuple(sorted((int(place[i]), int(place[j])))) for i, j in _contacts(second)}
+    return len(first_pairs & second_pairs) / len(first_pairs) if first_pairs else float("nan")
 
 
 def _contacts(s: Structure) -> set[tuple[int, int]]:

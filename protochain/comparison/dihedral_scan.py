@@ -84,7 +84,7 @@ def scan(
 
 def _points(cut: Chain, energy: Any, axes: Mapping[str, Any], relax: bool) -> Iterator[dict[str, Any]]:
     closed = " ".join(f"-{cut.hinges[cut.hinge(name)].name.replace(' ', '@')}" for name in axes)
-    for values in product(*(each.tolist() for each in axes.values())):
+    for values in product(*(axis_values.tolist() for axis_values in axes.values())):
         row: dict[str, Any] = dict(zip(axes, values, strict=True))
         x = pose(cut, cut.set(row)).x
         if relax:
@@ -92,8 +92,8 @@ def _points(cut: Chain, energy: Any, axes: Mapping[str, Any], relax: bool) -> It
                 cut.structure.with_positions(x), f"{cut.opened} {closed}", cut.root, move=cut.move,
                 hydrogen_mass=cut.hydrogen_mass,
             )  # fmt: skip
-            done = minimise(at, energy, "lbfgs", curvature=False)
-            yield row | {ENERGY: done.end.energy, "status": str(done.status)}
+            solution = minimise(at, energy, "lbfgs", curvature=False)
+            yield row | {ENERGY: solution.end.energy, "status": str(solution.status)}
         else:
             yield row | {ENERGY: energy(x)[0]}
 

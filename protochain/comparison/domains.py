@@ -35,14 +35,14 @@ def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
     """Find the rigid domains of points (n, 3) that moved from x to y, the largest first: x, y (n, 3) nm."""
     left, motions = np.arange(len(x)), list[tuple[Floats, Floats]]()
     while len(left) >= LEAST:
-        found = _largest(x, y, left)
-        if len(found) < LEAST:
+        domain = _largest(x, y, left)
+        if len(domain) < LEAST:
             break
-        motions.append(motion(x[found], y[found]))
-        left = np.setdiff1d(left, found)
+        motions.append(motion(x[domain], y[domain]))
+        left = np.setdiff1d(left, domain)
     if not motions:
         return []
-    away = np.array([_away(x, y, each) for each in motions])
+    away = np.array([_away(x, y, rigid_motion) for rigid_motion in motions])
     nearest = away.argmin(axis=0)
     parts = [np.flatnonzero((nearest == k) & (away[k] <= TOLERANCE)) for k in range(len(away))]
     parts = sorted((part for part in parts if len(part) >= LEAST), key=len, reverse=True)
@@ -56,17 +56,17 @@ def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
 
 def _largest(x: Floats, y: Floats, left: Integers) -> Integers:
     """Largest domain of the points that are left, grown from all of them or from neighbours."""
-    best = _grown(x, y, left, left)
+    best = _grow(x, y, left, left)
     if len(best) == len(left):
         return best
     for seed in left[:: max(1, len(left) // _SEEDS)]:
         near = left[np.argsort(np.linalg.norm(x[left] - x[seed], axis=1), kind="stable")[:LEAST]]
-        grown = _grown(x, y, left, near)
+        grown = _grow(x, y, left, near)
         best = grown if len(grown) > len(best) else best
     return best
 
 
-def _grown(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
+def _grow(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
     for _ in range(_MOST_STEPS):
         within = left[_away(x[left], y[left], motion(x[members], y[members])) <= TOLERANCE]
         if len(within) < LEAST:

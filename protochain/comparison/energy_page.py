@@ -22,7 +22,7 @@ def write_energies(
     terms = energy_terms(structure, "term", between=between, energy=energy).T
     residues = energy_terms(structure, "residue", between=between, energy=energy)
     ranked = residues.loc[residues["total"].abs().sort_values(ascending=False).index]
-    own = [name for name in residues if name not in (*TERMS, "total")]
+    columns = [name for name in residues if name not in (*TERMS, "total")]
     (first, *_) = colourings = list(of_energies({structure.name: residues[list(TERMS)].to_numpy().T}))
     write_page(
         path,
@@ -31,7 +31,7 @@ def write_energies(
         between=between,
         energy=energy,
         terms=_with_units(terms[terms.any(axis=1)]).rename_axis("term").rename(heading).reset_index(),
-        data=explored(_with_units(ranked[[*own, "total", *TERMS]])),
+        data=explored(_with_units(ranked[[*columns, "total", *TERMS]])),
         command=command_line(),
         **scene({structure.name: structure}, colourings, first.name),
     )
@@ -40,5 +40,5 @@ def write_energies(
 def _with_units(table: pd.DataFrame) -> pd.DataFrame:
     """Columns of energies that are not all 0, with their unit in the name."""
     energies = table.select_dtypes("number")
-    kept = table[[name for name in table if name not in energies or energies[name].any()]]
-    return kept.rename(columns={name: f"{name}_kj_mol" for name in energies})
+    nonzero = table[[name for name in table if name not in energies or energies[name].any()]]
+    return nonzero.rename(columns={name: f"{name}_kj_mol" for name in energies})

@@ -22,13 +22,15 @@ _OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part
 def check_folder(folder: Path, force: bool) -> None:
     """Check the folder of a comparison before any work is done."""
     check_writable(folder / _PAGE)
-    other = [name for name in _OF_OTHERS if (folder / name).exists()]
-    if other:
-        raise ProtochainError(f"{folder}: holds a batch or simulation ({other[0]}); give another folder")
-    there = [name for name in (_PAGE, *names()) if (folder / name).exists()]
-    if there and not force:
+    foreign_files = [name for name in _OF_OTHERS if (folder / name).exists()]
+    if foreign_files:
         raise ProtochainError(
-            f"{folder}: holds a comparison ({there[0]}); give another folder, or ",
+            f"{folder}: holds a batch or simulation ({foreign_files[0]}); give another folder"
+        )
+    existing = [name for name in (_PAGE, *names()) if (folder / name).exists()]
+    if existing and not force:
+        raise ProtochainError(
+            f"{folder}: holds a comparison ({existing[0]}); give another folder, or ",
             Argument("force", True),
             " to replace it",
         )
@@ -37,7 +39,7 @@ def check_folder(folder: Path, force: bool) -> None:
 def files_of(folder: Path, name: str, methods: Iterable[str]) -> list[Path]:
     """Files that a comparison of a structure of this name may write or delete in its folder."""
     ends = [f"{name}.{method}{suffix}" for method in ("start", *methods) for suffix in _SUFFIXES]
-    return [folder / each for each in dict.fromkeys([_PAGE, *_structures(folder), *ends, *names()])]
+    return [folder / file_name for file_name in dict.fromkeys([_PAGE, *_structures(folder), *ends, *names()])]
 
 
 def clear(folder: Path) -> None:

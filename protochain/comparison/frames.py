@@ -80,11 +80,11 @@ class EveryFrame(AnalysisBase):
             name = f"frame {self._ts.frame}"
             start, chain, energy = self.setup.prepare(self.atoms, name, shared_energy)
             if self.method is None:
-                row |= _measured(Start(chain, energy).judgement)
+                row |= _measures(Start(chain, energy).judgement)
                 end = start
             else:
                 solution = minimise(chain, energy, self.method, **self.budget)
-                row |= _measured(solution.start) | {
+                row |= _measures(solution.start) | {
                     "energy_end_kj_mol": solution.end.energy,
                     "ca_rmsd_angstrom": solution.ca_rmsd_angstrom,
                     "evaluations": solution.n_evaluations,
@@ -102,7 +102,7 @@ class EveryFrame(AnalysisBase):
         self.results.table = pd.DataFrame(self._rows)
 
 
-def _measured(start: Judgement) -> dict[str, float]:
+def _measures(start: Judgement) -> dict[str, float]:
     return {
         "energy_start_kj_mol": start.energy,
         "max_torque_start_kj_mol_rad": start.max_torque,

@@ -71,51 +71,51 @@ class Torques:
         """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
         if not applies(self.energy):
             return self._by_rows(freedoms)
-        found = self._analytic()
+        block = self._analytic()
         # Within the same memory: rows move towards its beginning.
-        less = found.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
+        less = block.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
         for row, freedom in zip(less, freedoms, strict=True):
-            row[:] = found[freedom, freedoms]
+            row[:] = block[freedom, freedoms]
         return less
 
     def _analytic(self) -> Floats:
         """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
         assert isinstance(self.energy, NativeEnergy)
-        found = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
+        block = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
         bonded = replace(self, energy=self.energy.bonded)
         coupled, colour = colours(self.chain, self.energy)
-        for each in range(int(colour.max(initial=-1)) + 1):
-            column = np.flatnonzero(colour == each)
+        for colour_index in range(int(colour.max(initial=-1)) + 1):
+            column = np.flatnonzero(colour == colour_index)
             direction = np.zeros(self.chain.n_v)
             direction[column] = self.scale[column]
             fall = bonded.product(direction)
             for v in column:
                 rows = coupled.indices[coupled.indptr[v] : coupled.indptr[v + 1]]
                 half = 0.5 * fall[rows] / self.scale[v]
-                found[rows, v] += half
-                found[v, rows] += half
-        return found
+                block[rows, v] += half
+                block[v, rows] += half
+        return block
 
     def _by_rows(self, freedoms: Any) -> Floats:
         """Hessian (n, n) by differences, made symmetric."""
-        found = np.empty((len(freedoms), len(freedoms)))
-        for row, freedom in zip(found, freedoms, strict=True):
+        rows = np.empty((len(freedoms), len(freedoms)))
+        for row, freedom in zip(rows, freedoms, strict=True):
             direction = np.zeros(self.chain.n_v)
             direction[freedom] = 1.0
             row[:] = self.product(direction)[freedoms]
-        return 0.5 * (found + found.T)
+        return 0.5 * (rows + rows.T)
 
 
 def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     """Torques near q, or near the chain's own start."""
     q = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
-    made = Torques(chain, energy, q)
-    if not np.isfinite(made.beside(np.zeros(chain.n_v))).all():
+    torques = Torques(chain, energy, q)
+    if not np.isfinite(torques.beside(np.zeros(chain.n_v))).all():
         raise ProtochainError(
             f"{chain.structure.name}: the torques are not finite; minimise it first, as by pc.minimise",
             fault=Fault.NOT_FINITE,
         )
-    return made
+    return torques
 
 
 @checked()

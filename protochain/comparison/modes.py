@@ -168,12 +168,12 @@ class NormalModes(Value):
             J a, for a unit amplitude.
         """
         at = pose(self.chain, self.q)
-        twists = multibody.velocities(self.chain.tree, at.frames, self.modes[:, self._checked(mode)])
-        own = twists[self.chain.atom_body]
+        twists = multibody.velocities(self.chain.tree, at.frames, self.modes[:, self._check_mode(mode)])
+        atom_twists = twists[self.chain.atom_body]
         arm = at.x - at.frames.origin[self.chain.atom_body]
-        return np.asarray(own[:, 3:] + np.cross(own[:, :3], arm))
+        return np.asarray(atom_twists[:, 3:] + np.cross(atom_twists[:, :3], arm))
 
-    def _checked(self, mode: int) -> int:
+    def _check_mode(self, mode: int) -> int:
         if not isinstance(mode, int | np.integer) or not 0 <= mode < self.n_modes:
             raise refused("mode", repr(mode), f"give a whole number from 0 to {self.n_modes - 1}")
         return int(mode)
@@ -191,7 +191,7 @@ class NormalModes(Value):
         exp(-sum p ln p)/n with p the shares of the squared displacements: Bruschweiler, J. Chem. Phys.
         102:3396 (1995).
         """
-        return np.array([share_moved(each) for each in self._alphas])
+        return np.array([share_moved(mode) for mode in self._alphas])
 
     def mean_squares(self, temperature: float = TEMPERATURE) -> Floats:
         """Mean square displacements of the atoms by the modes, each with energy kT.
@@ -316,29 +316,32 @@ class NormalModes(Value):
 
     def _against(self, other: Any) -> tuple[Floats, Floats]:
         """Displacements (k, 3n) of matched C-alphas without rigid motion, and the change (3n,), 1 long."""
-        own = self.structure
-        there = measurable(other)
-        found = match(own, there)
-        alpha = {int(own.atom_residue[atom]): place for place, atom in enumerate(own.alpha_carbons)}
-        its = {int(there.atom_residue[atom]): int(atom) for atom in there.alpha_carbons}
+        start = self.structure
+        target = measurable(other)
+        matches = match(start, target)
+        alpha = {int(start.atom_residue[atom]): place for place, atom in enumerate(start.alpha_carbons)}
+        alpha_of_residue = {int(target.atom_residue[atom]): int(atom) for atom in target.alpha_carbons}
         pairs = [
-            (alpha[a], its[b])
-            for a, b in zip(found.reference.tolist(), found.model.tolist(), strict=True)
-            if a in alpha and b in its
+            (alpha[a], alpha_of_residue[b])
+            for a, b in zip(matches.reference.tolist(), matches.model.tolist(), strict=True)
+            if a in alpha and b in alpha_of_residue
         ]
         if len(pairs) < 3:
             raise ProtochainError(
-                f"{own.name} and {there.name}: fewer than three residues match; give another structure"
+                f"{start.name} and {target.name}: fewer than three residues match; give another structure"
             )
-        mine, atoms = (np.array(side) for side in zip(*pairs, strict=True))
-        here, reached = own.positions[own.alpha_carbons[mine]], there.positions[atoms]
-        turn, shift = motion(reached, here)
-        change = reached @ turn.T + shift - here
-        modes = np.array([_without_rigid(each[mine], here) for each in self._alphas])
-        change = _without_rigid(change, here)
+        alpha_indices, atoms = (np.array(side) for side in zip(*pairs, strict=True))
+        start_positions, reached = (
+            start.positions[start.alpha_carbons[alpha_indices]],
+            target.positions[atoms],
+        )
+        turn, shift = motion(reached, start_positions)
+        change = reached @ turn.T + shift - start_positions
+        modes = np.array([_without_rigid(mode[alpha_indices], start_positions) for mode in self._alphas])
+        change = _without_rigid(change, start_positions)
         size = np.linalg.norm(change)
         if not size > _STILL:
-            raise ProtochainError(f"{there.name}: is no other structure than {own.name}; nothing changes")
+            raise ProtochainError(f"{target.name}: is no other structure than {start.name}; nothing changes")
         return modes, change / size
 
     def entropy(self, temperature: float = TEMPERATURE, quantum: bool = True) -> float:
@@ -427,7 +430,10 @@ class NormalModes(Value):
         )
 
     def __repr__(self) -> str:
-        name, low = self.chain.structure.name, ", ".join(f"{each:.3g}" for each in self.frequencies[:3])
+        name, low = (
+            self.chain.structure.name,
+            ", ".join(f"{frequency:.3g}" for frequency in self.frequencies[:3]),
+        )
         return f"<NormalModes of {name}: {self.n_modes} modes, {low} ... 1/cm; {self.verdict}>"
 
 
@@ -463,7 +469,7 @@ def checked_amplitude(amplitude: Any) -> float:
 
 
 def _positive(value: Any, name: str, unit: str) -> float:
-    found = quantity(unit)(value, name)
-    if not 0.0 < found < np.inf:
-        raise refused(name, found, "give a number above 0")
-    return found
+    number = quantity(unit)(value, name)
+    if not 0.0 < number < np.inf:
+        raise refused(name, number, "give a number above 0")
+    return number

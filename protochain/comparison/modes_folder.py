@@ -94,10 +94,13 @@ def write_modes(
     """Write tables, the structure, swings of the lowest modes and the page; return the record."""
     # temperature K, amplitude angstrom.
     table, tables = modes.table(), {}
-    found = record_of(modes, temperature) | dict(noted)
+    noted_record = record_of(modes, temperature) | dict(noted)
     if other is not None:
         table["overlap"], table["cumulative_overlap"] = modes.overlap(other), modes.cumulative_overlap(other)
-        found |= {"other": other.name, "cumulative_overlap": float(table["cumulative_overlap"].iloc[-1])}
+        noted_record |= {
+            "other": other.name,
+            "cumulative_overlap": float(table["cumulative_overlap"].iloc[-1]),
+        }
     shown = None
     if modes.is_stable and len(modes.chain.structure.alpha_carbons):
         tables["fluctuations.csv"] = modes.fluctuations(temperature)
@@ -117,19 +120,19 @@ def write_modes(
     write_page(
         folder / "report.html",
         "modes.html",
-        record=found,
+        record=noted_record,
         table=table.to_dict("records"),
         figure=shown,
         colours=COLOURS,
         library=library(),
         format=suffix.removeprefix("."),
-        models=[text(each) for each in (structure, *ends)],
+        models=[text(model) for model in (structure, *ends)],
         amplitude=amplitude,
         command=command_line(),
         size=counted(structure.n_protein_residues, "residue"),
     )
-    write_text(folder / "summary.json", json_text(found, 1) + "\n")
-    return found
+    write_text(folder / "summary.json", json_text(noted_record, 1) + "\n")
+    return noted_record
 
 
 def _figure(table: pd.DataFrame, name: str) -> Figure:

@@ -89,7 +89,7 @@ class Inertia:
     @cached_property
     def _of_whole(self) -> tuple[Floats, Floats]:
         """Momenta (n_v, 6) of the rigid motions, and their own mass matrix (6, 6)."""
-        momenta = np.array([self._multiply(each) for each in self.whole.T]).reshape(-1, self.chain.n_v).T
+        momenta = np.array([self._multiply(motion) for motion in self.whole.T]).reshape(-1, self.chain.n_v).T
         return momenta, self.whole.T @ momenta
 
     def _multiply(self, x: Floats) -> Floats:
@@ -120,18 +120,22 @@ class Inertia:
     def matrix(self) -> Floats:
         """Mass matrix (n, n)."""
         momenta, block = self._of_whole
-        own = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
-        mine = momenta[self.freedoms]
-        own = own - mine @ np.linalg.solve(block, mine.T)
-        return 0.5 * (own + own.T)
+        block_of_freedoms = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
+        momenta_of_freedoms = momenta[self.freedoms]
+        block_of_freedoms = block_of_freedoms - momenta_of_freedoms @ np.linalg.solve(
+            block, momenta_of_freedoms.T
+        )
+        return 0.5 * (block_of_freedoms + block_of_freedoms.T)
 
     def log_det(self) -> float:
         """Logarithm of its determinant, in O(n): det M = det M_s det T^T M T / det T_root^2."""
-        every = multibody.log_det_mass(self.chain.tree, self.pose.frames)
+        log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
-            return every
+            return log_det_tree
         of_whole, of_root = self._of_whole[1], self.whole[self._root]
-        return every - float(np.linalg.slogdet(of_whole)[1]) + 2.0 * float(np.linalg.slogdet(of_root)[1])
+        return (
+            log_det_tree - float(np.linalg.slogdet(of_whole)[1]) + 2.0 * float(np.linalg.slogdet(of_root)[1])
+        )
 
 
 @checked(k=at_least(1), method=text)
@@ -180,14 +184,14 @@ def normal_modes(
     """
     check_modes(k, method)
     began = perf_counter()
-    given, known = with_energy(chain, energy)
-    start = given.q0 if q is None else floats(q, (given.n_q,), "q")
-    held = frame_of(given, known).held_by
-    chain, start = (given, start) if held else _freed(given, start)
-    torques = torques_at(chain, known, start)
+    energy_used, is_known = with_energy(chain, energy)
+    start = energy_used.q0 if q is None else floats(q, (energy_used.n_q,), "q")
+    held_by = frame_of(energy_used, is_known).held_by
+    chain, start = (energy_used, start) if held_by else _free_root(energy_used, start)
+    torques = torques_at(chain, is_known, start)
     at = pose(chain, torques.q)
-    whole = np.empty((0, chain.n_v)) if held else motions_of_whole(chain, at)
-    inertia = Inertia(chain, at, whole.T)
+    rigid_motions = np.empty((0, chain.n_v)) if held_by else motions_of_whole(chain, at)
+    inertia = Inertia(chain, at, rigid_motions.T)
     n = len(inertia.freedoms)
     if n == 0:
         raise ProtochainError(f"{chain.structure.name}: nothing moves in it but the whole; open more hinges")
@@ -195,23 +199,23 @@ def normal_modes(
     _refuse_many(chain, n, analytic and method != "products")
     dense = method == "dense" or (method == "auto" and (analytic or n <= DENSE))
     solve = _dense if dense else _by_products
-    found = solve(torques, inertia, min(k, n))
-    order = np.argsort(found.values)
+    eigenpairs = solve(torques, inertia, min(k, n))
+    order = np.argsort(eigenpairs.values)
     return NormalModes(
         chain=chain,
         energy_function=torques.energy,
         q=read_only(torques.q),
-        eigenvalues=read_only(found.values[order]),
-        modes=read_only(inertia.full(found.vectors[:, order])),
-        residuals=read_only(found.residuals[order]),
-        errors=read_only(found.errors[order]),
-        largest_eigenvalue=found.largest,
-        spectrum=None if found.every is None else read_only(found.every),
+        eigenvalues=read_only(eigenpairs.values[order]),
+        modes=read_only(inertia.full(eigenpairs.vectors[:, order])),
+        residuals=read_only(eigenpairs.residuals[order]),
+        errors=read_only(eigenpairs.errors[order]),
+        largest_eigenvalue=eigenpairs.largest,
+        spectrum=None if eigenpairs.every is None else read_only(eigenpairs.every),
         log_det_mass=inertia.log_det(),
-        log_det_hessian=found.log_det,
+        log_det_hessian=eigenpairs.log_det,
         max_torque=torques.largest,
-        held_by=held,
-        n_products=found.products,
+        held_by=held_by,
+        n_products=eigenpairs.products,
         seconds=perf_counter() - began,
     )
 
@@ -223,18 +227,19 @@ def check_modes(k: int, method: str) -> None:
 
 def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
     """Refuse more freedoms than memory and an hour are enough for."""
-    most = ANALYTIC if analytic else MOST
-    if n > most:
-        other = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
+    limit = ANALYTIC if analytic else MOST
+    if n > limit:
+        alternative = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
         raise ProtochainError(
-            f"{chain.structure.name}: modes of {n} freedoms, of at most {most}; open fewer hinges{other}"
+            f"{chain.structure.name}: modes of {n} freedoms, of at most {limit}; open fewer hinges"
+            f"{alternative}"
         )
 
 
-def _freed(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
+def _free_root(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
     """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
-    made = with_free_root(chain)
-    return made, transferred(chain, made, q)
+    free_chain = with_free_root(chain)
+    return free_chain, transferred(chain, free_chain, q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,11 +261,11 @@ def _largest(stiffness: Floats) -> float:
     n = len(stiffness)
     if n < 20:
         return float(np.linalg.eigvalsh(stiffness)[-1])
-    found: Any = eigsh(stiffness, k=1, which="LA", return_eigenvectors=False, v0=np.ones(n))
-    return float(found[0])
+    values: Any = eigsh(stiffness, k=1, which="LA", return_eigenvectors=False, v0=np.ones(n))
+    return float(values[0])
 
 
-def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
+def _eigenpairs(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
     """Eigenpairs with their backward errors, and what an error of 1e-8 of K may be of a value."""
     sizes = np.linalg.norm(vectors, axis=0)
     residuals = np.linalg.norm(left, axis=0) / (norm * sizes)
@@ -282,8 +287,10 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
     values, vectors = eigh(stiffness, mass)
     few = vectors[:, :k]
     left = stiffness @ few - mass @ few * values[:k]
-    most, log_det = float(values[-1]), _log_det(stiffness)
-    return _found(values[:k], few, left, norm, largest=most, products=0, every=values, log_det=log_det)
+    largest, log_det = float(values[-1]), _log_det(stiffness)
+    return _eigenpairs(
+        values[:k], few, left, norm, largest=largest, products=0, every=values, log_det=log_det
+    )
 
 
 def _log_det(stiffness: Floats) -> float | None:
@@ -305,8 +312,8 @@ class _Factored:
         self.matrix, self.diagonal = matrix.T, np.diagonal(matrix).copy()
 
     def __matmul__(self, x: Floats) -> Floats:
-        kept = self.diagonal - np.diagonal(self.matrix)
-        return np.asarray(dsymv(1.0, self.matrix, x, lower=0) + kept * x)
+        upper = self.diagonal - np.diagonal(self.matrix)
+        return np.asarray(dsymv(1.0, self.matrix, x, lower=0) + upper * x)
 
     def factorise(self, add: Callable[[int], Floats] | None = None) -> bool:
         """Make the factor of the matrix, with columns added to it; False if that is not positive."""
@@ -342,17 +349,19 @@ def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Found:
     while not stiffness.factorise(partial(inertia.column, shift)):
         shift *= 10.0
     values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
-    left = np.stack([stiffness @ a - inertia.times(a) * each for a, each in zip(few.T, values, strict=True)])
-    return _found(values, few, left.T, norm, largest=largest, products=0, log_det=log_det)
+    left = np.stack(
+        [stiffness @ a - inertia.times(a) * value for a, value in zip(few.T, values, strict=True)]
+    )
+    return _eigenpairs(values, few, left.T, norm, largest=largest, products=0, log_det=log_det)
 
 
 def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
     """Lowest eigenpairs, by LOBPCG with a model of the Hessian as preconditioner, and the largest value."""
-    n, done = len(inertia.freedoms), 0
+    n, n_products = len(inertia.freedoms), 0
 
     def stiffness(x: Floats) -> Floats:
-        nonlocal done
-        done += 1
+        nonlocal n_products
+        n_products += 1
         wide = np.zeros(inertia.chain.n_v)
         wide[inertia.freedoms] = x
         return torques.product(wide)[inertia.freedoms]
@@ -388,13 +397,14 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
     order = np.argsort(solved[0])[:k]
     values, vectors = solved[0][order], solved[1][:, order]
     left = k_of.matmat(vectors) - m_of.matmat(vectors) * values
-    found = _found(values, vectors, left, norm, largest=largest, products=done)
-    if np.max(found.residuals) > RESIDUAL:
+    eigenpairs = _eigenpairs(values, vectors, left, norm, largest=largest, products=n_products)
+    if np.max(eigenpairs.residuals) > RESIDUAL:
         raise ProtochainError(
             f"{inertia.chain.structure.name}: the modes did not converge: a residual is "
-            f"{np.max(found.residuals):.1g} for {RESIDUAL:g}; ask for more of them, or for the dense method"
+            f"{np.max(eigenpairs.residuals):.1g} for {RESIDUAL:g}; ask for more of them, or for the "
+            "dense method"
         )
-    return found
+    return eigenpairs
 
 
 def _model(torques: Torques, inertia: Inertia) -> Floats:

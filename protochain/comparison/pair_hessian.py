@@ -63,8 +63,8 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
             born = energy.born_radii(at.x)[by_body]
             solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
         pairs = _parameters(terms, by_body), solvated
-        own = _add_pairs(matrix, (x, first), tree, pairs, share)
-    _add_own(matrix, chain, at, tree[2], body, x, own, middle)
+        pair_stiffness = _add_pairs(matrix, (x, first), tree, pairs, share)
+    _add_own(matrix, chain, at, tree[2], body, x, pair_stiffness, middle)
     symmetrise(matrix)
     return matrix
 
@@ -114,28 +114,28 @@ def _add_pairs(
     order, depth = _inward_order(parent)
     ends = np.searchsorted(first, np.arange(_COLUMNS + 1) * len(x) // _COLUMNS).astype(np.int64)
     rows = np.zeros((int(depth.max()) + 1, 6, 6 * len(parent)))
-    own = np.zeros((len(x), 9))
+    atom_stiffness = np.zeros((len(x), 9))
     for begin in range(0, len(order), _BODIES):
         bodies = order[begin : begin + _BODIES]
-        here, freedoms = _ranges(first, bodies), _ranges(v_start, bodies)
-        along, sums = np.empty((len(freedoms), 6 * len(parent))), np.empty((_COLUMNS, len(here), 9))
+        sources, freedoms = _ranges(first, bodies), _ranges(v_start, bodies)
+        along, sums = np.empty((len(freedoms), 6 * len(parent))), np.empty((_COLUMNS, len(sources), 9))
 
         def sweep(part: int, bodies: Integers = bodies, along: Floats = along, sums: Floats = sums) -> None:
             kernels.pair_sweep(
                 bodies, ends[part], ends[part + 1], (parent, depth, v_start, motions), atoms, *pairs,
-                (rows, along, sums[part], own),
+                (rows, along, sums[part], atom_stiffness),
             )  # fmt: skip
 
         share(sweep, range(_COLUMNS))
-        own[here] += sums.sum(axis=0)
+        atom_stiffness[sources] += sums.sum(axis=0)
         to = freedoms, parent, v_start, motions, along, matrix
-        share(partial(_each, kernels.add_rows, to), _parts(0, len(freedoms)))
-    return own
+        share(partial(_call_kernel, kernels.add_rows, to), _parts(0, len(freedoms)))
+    return atom_stiffness
 
 
-def _ranges(start: Integers, which: Integers) -> Integers:
+def _ranges(start: Integers, indices: Integers) -> Integers:
     """Numbers from the start of each of some to its end, one after the other."""
-    return np.concatenate([np.arange(start[b], start[b + 1]) for b in which]).astype(np.int64)
+    return np.concatenate([np.arange(start[b], start[b + 1]) for b in indices]).astype(np.int64)
 
 
 def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Floats]:
@@ -144,10 +144,10 @@ def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Fl
     place[by_body] = np.arange(terms.n_atoms)
     i, j = place[terms.nonbonded.exceptions.atoms].T
     parameters = terms.nonbonded.exceptions.parameters
-    one, other = np.concatenate([i, j]), np.concatenate([j, i])
+    one, partners = np.concatenate([i, j]), np.concatenate([j, i])
     order = np.argsort(one, kind="stable")
     start = np.searchsorted(one[order], np.arange(terms.n_atoms + 1)).astype(np.int64)
-    return start, other[order], np.concatenate([parameters, parameters])[order]
+    return start, partners[order], np.concatenate([parameters, parameters])[order]
 
 
 def _add_radii(
@@ -162,49 +162,53 @@ def _add_radii(
     n, n_v = len(by_body), len(matrix)
     offset, radius, scaled = s.offset_radius[by_body], s.radius[by_body], s.scaled_radius[by_body]
     charge, surface, shape = s.charge[by_body], s.surface[by_body], s.bend[by_body]
-    integral, slope, bend, of_born, own = np.empty((5, n))
-    rest = *atoms, offset, scaled, bool(s.engulfs), *tree
+    integral, slope, bend, of_born, atom_stiffness = np.empty((5, n))
+    arguments = *atoms, offset, scaled, bool(s.engulfs), *tree
 
     def derivatives(begin: int, end: int, to: Floats) -> Floats:
-        share(partial(_each, kernels.integrals, (*rest, integral, to), begin), _parts(begin, end))
-        some = slice(begin, end)
-        slope[some], bend[some] = born_radii(integral[some], offset[some], radius[some], shape[some])[1:]
+        share(partial(_call_kernel, kernels.integrals, (*arguments, integral, to), begin), _parts(begin, end))
+        chunk = slice(begin, end)
+        slope[chunk], bend[chunk] = born_radii(integral[chunk], offset[chunk], radius[chunk], shape[chunk])[
+            1:
+        ]
         to = to[: end - begin]
-        to *= slope[some, None]
+        to *= slope[chunk, None]
         return to
 
     def coupled(begin: int, end: int, left: int, right: int) -> Floats:
-        found = np.empty((end - begin, right - left))
+        block = np.empty((end - begin, right - left))
 
         def rows(part: tuple[int, int]) -> None:
-            to = found[part[0] - begin : part[1] - begin]
+            to = block[part[0] - begin : part[1] - begin]
             kernels.couplings(*part, left, right, atoms[0], charge, born, to)
 
         share(rows, _parts(begin, end))
-        return found
+        return block
 
-    kept = np.empty((min(n, max(_ROWS, n_v // 2, int(_KEPT) // (8 * n_v))), n_v))
-    others, mixed = np.empty((2, min(n, _ROWS), n_v))
-    known = *atoms, charge, surface, born, *tree, of_born, own, mixed
-    for left in range(0, n, len(kept)):
-        right = min(n, left + len(kept))
-        along = derivatives(left, right, kept)
+    derivatives_of_rows = np.empty((min(n, max(_ROWS, n_v // 2, int(_KEPT) // (8 * n_v))), n_v))
+    further, mixed = np.empty((2, min(n, _ROWS), n_v))
+    constants = *atoms, charge, surface, born, *tree, of_born, atom_stiffness, mixed
+    for left in range(0, n, len(derivatives_of_rows)):
+        right = min(n, left + len(derivatives_of_rows))
+        along = derivatives(left, right, derivatives_of_rows)
         for begin, end in _parts(left, right, _ROWS):
-            share(partial(_each, kernels.born_rows, known, begin), _parts(begin, end))
+            share(partial(_call_kernel, kernels.born_rows, constants, begin), _parts(begin, end))
             couplings = coupled(begin, end, begin, right)
             # Half of a symmetric product: the other is its transpose.
-            mine = couplings[:, : end - begin]
-            mine *= 0.5
+            chunk_couplings = couplings[:, : end - begin]
+            chunk_couplings *= 0.5
             # Where a radius is as large as it can be, nothing changes it.
             rows, turn = slice(begin, end), np.zeros(end - begin)
             np.divide(bend[rows], slope[rows] ** 2, out=turn, where=slope[rows] != 0.0)
-            mine[np.diag_indices(end - begin)] = 0.5 * (own[rows] + of_born[rows] * turn)
+            chunk_couplings[np.diag_indices(end - begin)] = 0.5 * (
+                atom_stiffness[rows] + of_born[rows] * turn
+            )
             product = mixed[: end - begin]
             product += couplings @ along[begin - left :]
             _add_product(matrix, along[begin - left : end - left], product)
         for begin, end in _parts(right, n, _ROWS):
             across = coupled(begin, end, left, right) @ along
-            _add_product(matrix, derivatives(begin, end, others), across)
+            _add_product(matrix, derivatives(begin, end, further), across)
     return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope
 
 
@@ -213,7 +217,7 @@ def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:
     return [(k, min(end, k + size)) for k in range(begin, end, size)]
 
 
-def _each(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
+def _call_kernel(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
     """Call a kernel for a part, the last, after what comes before it."""
     kernel(*parts[:-1], *parts[-1], *rest)
 
@@ -262,16 +266,16 @@ def _add_own(
     origin, axes = at.frames.origin - middle, motions[:, :3]
     inward: list[NDArray[np.int64]] = []
     for b in range(tree.n_bodies):
-        mine = np.arange(tree.v_start[b], tree.v_start[b + 1])
+        freedoms = np.arange(tree.v_start[b], tree.v_start[b + 1])
         above = inward[tree.parent[b]] if tree.parent[b] >= 0 else np.empty(0, np.int64)
-        inward.append(np.concatenate([above, mine]))
+        inward.append(np.concatenate([above, freedoms]))
         about = moments[b] - np.outer(origin[b], sums[b])
-        turned = axes[mine] @ about.T - axes[mine] * np.trace(about)
-        held = motions[mine] @ stiffness[b]
-        of_above = motions[above] @ held.T - axes[above] @ turned.T
-        matrix[np.ix_(above, mine)] += of_above
-        matrix[np.ix_(mine, above)] += of_above.T
-        matrix[np.ix_(mine, mine)] += motions[mine] @ held.T - axes[mine] @ turned.T
+        turned = axes[freedoms] @ about.T - axes[freedoms] * np.trace(about)
+        stiffened = motions[freedoms] @ stiffness[b]
+        of_above = motions[above] @ stiffened.T - axes[above] @ turned.T
+        matrix[np.ix_(above, freedoms)] += of_above
+        matrix[np.ix_(freedoms, above)] += of_above.T
+        matrix[np.ix_(freedoms, freedoms)] += motions[freedoms] @ stiffened.T - axes[freedoms] @ turned.T
 
 
 def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
@@ -282,15 +286,15 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
         if tree.parent[b] >= 0:
             depth[b], root[b] = depth[tree.parent[b]] + 1, root[tree.parent[b]]
     crossed: set[tuple[int, ...]] = set()
-    for some in energy.terms.bonded.values():
-        bodies = np.unique(np.sort(chain.atom_body[some.atoms], axis=1), axis=0)
+    for terms in energy.terms.bonded.values():
+        bodies = np.unique(np.sort(chain.atom_body[terms.atoms], axis=1), axis=0)
         for row in bodies.tolist():
-            found = {*_between({*row}, tree.parent, depth, root)}
-            if found:
-                crossed.add(tuple(sorted(found)))
+            hinges = {*_hinges_between({*row}, tree.parent, depth, root)}
+            if hinges:
+                crossed.add(tuple(sorted(hinges)))
     freedoms = [[v for b in path for v in range(tree.v_start[b], tree.v_start[b + 1])] for path in crossed]
-    row = np.repeat(np.arange(len(freedoms)), [len(each) for each in freedoms])
-    column = np.array([v for each in freedoms for v in each], dtype=np.int64)
+    row = np.repeat(np.arange(len(freedoms)), [len(hinge_set) for hinge_set in freedoms])
+    column = np.array([v for hinge_set in freedoms for v in hinge_set], dtype=np.int64)
     incidence = csr_array((np.ones(len(row)), (row, column)), shape=(len(freedoms), chain.n_v))
     coupled = (incidence.T @ incidence).tocsr()
     seen = (coupled @ coupled).tocsr()
@@ -301,7 +305,7 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
     return coupled, colour
 
 
-def _between(bodies: set[int], parent: Any, depth: Integers, root: Integers) -> Iterator[int]:
+def _hinges_between(bodies: set[int], parent: Any, depth: Integers, root: Integers) -> Iterator[int]:
     """Bodies whose hinges lie between some bodies; of several trees, all to the roots and these too."""
     left = set(bodies)
     while len(left) > 1:

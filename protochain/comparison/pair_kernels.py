@@ -207,12 +207,12 @@ def pair_sweep(
     # stiffness of each atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms
     # of the bodies, one after the other, and are added to ``there`` for the others.
     parent, depth, v_start, motions = tree
-    (x, first), (rows, along, here, there) = atoms, sums
-    charge, lj_type, a12, b6, partner_start, partner, own = pairs
+    (x, first), (rows, along, sources, targets) = atoms, sums
+    charge, lj_type, a12, b6, partner_start, partner, stiffness = pairs
     solvated, gb_charge, born, radius, scaled, engulfs, pull = solvent
     over = 1.0 / born
     mark = np.full(len(x), -1, np.int64)
-    g, mine = np.empty((3, 6)), np.empty(9)
+    g, block = np.empty((3, 6)), np.empty(9)
     atom, freedom = 0, 0
     for b in bodies:
         row = rows[depth[b]]
@@ -220,7 +220,7 @@ def pair_sweep(
             for m in range(partner_start[i], partner_start[i + 1]):
                 mark[partner[m]] = m
             xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-            mine[:] = 0.0
+            block[:] = 0.0
             for c in range(begin, min(b, end)):
                 fx, fy, fz = 0.0, 0.0, 0.0
                 pxx, pxy, pxz, pyy, pyz, pzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -232,10 +232,10 @@ def pair_sweep(
                     u = 1.0 / r2
                     m = mark[j]
                     if m < 0:
-                        one, other = lj_type[i], lj_type[j]
-                        a, b_, qq = a12[one, other], b6[one, other], charge[i] * charge[j]
+                        one, type_j = lj_type[i], lj_type[j]
+                        a, b_, qq = a12[one, type_j], b6[one, type_j], charge[i] * charge[j]
                     else:
-                        a, b_, qq = own[m, 0], own[m, 1], own[m, 2]
+                        a, b_, qq = stiffness[m, 0], stiffness[m, 1], stiffness[m, 2]
                     u3 = u * u * u
                     r = np.sqrt(r2)
                     twelve, six, coulomb = a * u3 * u3, b_ * u3, qq * r * u
@@ -263,15 +263,15 @@ def pair_sweep(
                         along_ * dz * dz + across,
                     )
                     xy, xz, yz = along_ * dx * dy, along_ * dx * dz, along_ * dy * dz
-                    there[j, 0] += xx
-                    there[j, 1] += xy
-                    there[j, 2] += xz
-                    there[j, 3] += yy
-                    there[j, 4] += yz
-                    there[j, 5] += zz
-                    there[j, 6] += px
-                    there[j, 7] += py
-                    there[j, 8] += pz
+                    targets[j, 0] += xx
+                    targets[j, 1] += xy
+                    targets[j, 2] += xz
+                    targets[j, 3] += yy
+                    targets[j, 4] += yz
+                    targets[j, 5] += zz
+                    targets[j, 6] += px
+                    targets[j, 7] += py
+                    targets[j, 8] += pz
                     pxx, pxy, pxz = pxx + xx, pxy + xy, pxz + xz
                     pyy, pyz, pzz = pyy + yy, pyz + yz, pzz + zz
                     # D (omega cross x_j), for each axis of omega.
@@ -289,8 +289,8 @@ def pair_sweep(
                 g[2, 0], g[2, 1], g[2, 2], g[2, 3], g[2, 4], g[2, 5] = -tzx, -tzy, -tzz, -pxz, -pyz, -pzz
                 _add_moments(row, 6 * c, g, xi, yi, zi)
                 for p, value in enumerate((pxx, pxy, pxz, pyy, pyz, pzz, fx, fy, fz)):
-                    mine[p] += value
-            here[atom] = mine
+                    block[p] += value
+            sources[atom] = block
             atom += 1
             for m in range(partner_start[i], partner_start[i + 1]):
                 mark[partner[m]] = -1

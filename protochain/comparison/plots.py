@@ -27,7 +27,7 @@ def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
     if traces.empty:
-        return _titled(axes, ax, f"{_plain_text(title)}: no finite energy")
+        return _set_title(axes, ax, f"{_plain_text(title)}: no finite energy")
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     logarithmic = best.iloc[0] - best.min() > _LOG_FROM
     if logarithmic:
@@ -35,7 +35,7 @@ def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     _draw_runs(axes, traces.assign(shown=best), "shown", styles)
     axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
     axes[0].set_yscale("log" if logarithmic else "linear")
-    return _titled(axes, ax, f"{_plain_text(title)}: lowest energy so far")
+    return _set_title(axes, ax, f"{_plain_text(title)}: lowest energy so far")
 
 
 def plot_work_precision(
@@ -44,8 +44,8 @@ def plot_work_precision(
     """Energy above the lowest end against evaluations and against seconds (work-precision diagram)."""
     groups = {name: methods for name, methods in groups.items() if methods}
     n = len(groups)
-    _, every = panels(ax, (n, 2), (8, 0.6 + 3.2 * n), least=2 * n, sharex="col", sharey=True)
-    grid = every.reshape(n, 2)
+    _, axes_grid = panels(ax, (n, 2), (8, 0.6 + 3.2 * n), least=2 * n, sharex="col", sharey=True)
+    grid = axes_grid.reshape(n, 2)
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
@@ -55,7 +55,7 @@ def plot_work_precision(
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
         axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
         axes[0].set_yscale("log")
-    return _titled(every, ax, f"{_plain_text(title)}: energy above the lowest end against cost")
+    return _set_title(axes_grid, ax, f"{_plain_text(title)}: energy above the lowest end against cost")
 
 
 def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
@@ -67,14 +67,14 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     note = f"\nnot recorded while all atoms move: {', '.join(free)}" if len(free) else ""
     traces = traces[drawn]
     if traces.empty:
-        return _titled(axes, ax, f"{_plain_text(title)}: no run in torsions")
+        return _set_title(axes, ax, f"{_plain_text(title)}: no run in torsions")
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
-    return _titled(axes, ax, f"{_plain_text(title)}: largest torque on a hinge{note}")
+    return _set_title(axes, ax, f"{_plain_text(title)}: largest torque on a hinge{note}")
 
 
-def _titled(axes: Any, ax: Any, title: str) -> PlainFigure:
+def _set_title(axes: Any, ax: Any, title: str) -> PlainFigure:
     """Figure of the Axes, with a title: above all panels of a new one, above the first of given ones."""
     figure: PlainFigure = axes[0].figure
     if ax is None:
@@ -124,7 +124,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = No
     plain(left)
     if len(axes) > 1:
         _draw_between(axes[1], rmsd)
-    return _titled(axes, ax, f"{_plain_text(title)}: C-alpha RMSD after superposition")
+    return _set_title(axes, ax, f"{_plain_text(title)}: C-alpha RMSD after superposition")
 
 
 def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
@@ -159,7 +159,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     panel.legend(frameon=False, ncols=3)
     plain(panel)
     stated = "displacement from the start, superposed on all C-alphas"
-    return _titled(axes, ax, f"{_plain_text(title)}: {stated}")
+    return _set_title(axes, ax, f"{_plain_text(title)}: {stated}")
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
@@ -183,12 +183,12 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     if len(axes) > 1:
         bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
     bottom.set_xlabel("residue")
-    first = [each[["chain", "residue"]].to_numpy().T for each in changes.values()][:1]
-    named = residue_places(*first[0]) if first else {}
+    first = [table[["chain", "residue"]].to_numpy().T for table in changes.values()][:1]
+    places = residue_places(*first[0]) if first else {}
     for panel in axes:
-        panel.set_xticks([*named], [*named.values()])
+        panel.set_xticks([*places], [*places.values()])
         plain(panel)
-    return _titled(axes, ax, f"{_plain_text(title)}: what changed" if title else "")
+    return _set_title(axes, ax, f"{_plain_text(title)}: what changed" if title else "")
 
 
 _CHIS = ("chi1", "chi2", "chi3", "chi4")
@@ -201,8 +201,8 @@ def residue_places(chain: Any, number: Any) -> dict[int, str]:
     starts = np.flatnonzero(np.append(True, chain[1:] != chain[:-1])[: len(chain)]).tolist()
     step = 5 * max(1, round(len(chain) / _PLACES / 5))
     between = [k for k in range(step, len(chain), step) if min(abs(k - start) for start in starts) > step / 2]
-    named = {k + 1: f"{chain[k]}:{number[k]}" for k in starts}
-    return named | {k + 1: number[k] for k in between if len(starts) < _PLACES}
+    labels = {k + 1: f"{chain[k]}:{number[k]}" for k in starts}
+    return labels | {k + 1: number[k] for k in between if len(starts) < _PLACES}
 
 
 def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> PlainFigure:
@@ -224,16 +224,16 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
         if ax is not None or k % columns == 0:
             panel.set_ylabel("psi, degrees")
     if ax is None:
-        return _titled(axes, ax, f"{_plain_text(title)}: phi and psi")
+        return _set_title(axes, ax, f"{_plain_text(title)}: phi and psi")
     figure: PlainFigure = axes[0].figure
     return figure
 
 
 def ramachandran_ground(panel: Axes) -> None:
     """Draw what is favoured, dark grey, and allowed, light grey, of most residues; axes in degrees."""
-    most = tables()[0].T
-    grid = np.linspace(-179.0, 179.0, len(most))
-    panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
+    favoured = tables()[0].T
+    grid = np.linspace(-179.0, 179.0, len(favoured))
+    panel.contourf(grid, grid, favoured, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
     ticks = range(-180, 181, 90)
     panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
     panel.set_box_aspect(1.0)

@@ -57,7 +57,7 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
     off = ca_rmsd(structure, structure.positions, start)
     lengths = _bond_lengths(structure) - _bond_lengths(start)
     angles = _bond_angles(structure) - _bond_angles(start)
-    score, folds = tm_score(start, structure), [secondary_structure(each) for each in (structure, start)]
+    score, folds = tm_score(start, structure), [secondary_structure(model) for model in (structure, start)]
     alone = _alone(structure, chain)
     return {
         "radius_of_gyration_angstrom": alone.pop("radius_of_gyration_angstrom"),

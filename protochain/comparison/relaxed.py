@@ -25,7 +25,9 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     """Write the page of a relaxation, one file that works offline."""
     strength = relaxation.settings.strength
     changes = of_ends(relaxation.ends())
-    figure = plot_differences({name: each.residues for name, each in changes.items()}, relaxation.start.name)
+    figure = plot_differences(
+        {name: difference.residues for name, difference in changes.items()}, relaxation.start.name
+    )
     bonds = hydrogen_bonds(relaxation.structure)[:, [0, 2]] if relaxation.start.ligands else _NO_PAIRS
     write_page(
         path,
@@ -59,27 +61,30 @@ def named_residues(
     """Residues that a reader looks at first, by what they are: place in the viewer, and words."""
     s = relaxation.start
     before, after = (_outliers(Found(s, x)) for x in (s.positions, relaxation.x))
-    named = {f"New {kind}": [(r, "") for r in sorted(its - before[kind])] for kind, its in after.items()} | {
-        f"Resolved {kind}": [(r, "") for r in sorted(before[kind] - its)] for kind, its in after.items()
+    groups = {
+        f"New {kind}": [(r, "") for r in sorted(residues - before[kind])] for kind, residues in after.items()
+    } | {
+        f"Resolved {kind}": [(r, "") for r in sorted(before[kind] - residues)]
+        for kind, residues in after.items()
     }
     place = {where: r for r, where in enumerate(residue_keys(s).tolist())}
-    for each in changes.values():
-        of = each.residues
+    for difference in changes.values():
+        of = difference.residues
         where = [place.get(f"{chain.strip()}:{number}", -1)
                  for chain, number in zip(of["chain"], of["residue"], strict=True)]  # fmt: skip
-        for what, column, least, unit in (
+        for label, column, least, unit in (
             ("Moved most", "ca_moved_angstrom", _MOVED, " angstrom"),
             ("Turned most", "torsions_degrees", _TURNED, " degrees"),
         ):
-            most = of.assign(where=where)[of[column] >= least].nlargest(_NAMED, column)
-            named[what] = [
+            largest = of.assign(where=where)[of[column] >= least].nlargest(_NAMED, column)
+            groups[label] = [
                 (r, f", {value:.2g}{unit}" if value < 10 else f", {value:.0f}{unit}")
-                for r, value in zip(most["where"], most[column], strict=True) if r >= 0
+                for r, value in zip(largest["where"], largest[column], strict=True) if r >= 0
             ]  # fmt: skip
     keys = residue_keys(s)
     return {
-        what: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in its[:_NAMED]]
-        for what, its in named.items() if its
+        label: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in residues[:_NAMED]]
+        for label, residues in groups.items() if residues
     }  # fmt: skip
 
 

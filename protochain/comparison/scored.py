@@ -25,15 +25,15 @@ def write_scored(
     interfaces: Sequence[Interface], rows: Sequence[Mapping[str, Any]], path: Path, setup: Setup, rank: str
 ) -> None:
     """Write the page of scored interfaces, one file that works offline."""
-    known = {**SCORES, **MAKEUP, **CONFIDENCES}
+    measures = {**SCORES, **MAKEUP, **CONFIDENCES}
     write_page(
         path,
         "interfaces.html",
         rows=rows,
-        data=_ranked(rows, [key for key in known if any(row[key] is not None for row in rows)]),
+        data=_ranking(rows, [key for key in measures if any(row[key] is not None for row in rows)]),
         rank=rank,
-        known=known,
-        models=[_model(each, row) for each, row in zip(interfaces[:_MOST], rows, strict=False)],
+        known=measures,
+        models=[_model(interface, row) for interface, row in zip(interfaces[:_MOST], rows, strict=False)],
         full=_FULL,
         library=library(),
         command=command_line(),
@@ -50,7 +50,7 @@ _FIRST = (
 """Columns that are shown at first."""
 
 
-def _ranked(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
+def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
     """Rows with their place, for a page."""
     table = pd.DataFrame(
         [

@@ -36,15 +36,15 @@ def write_simulated(
     """Write the page of a simulation, one file that works offline; a row of the log is a frame."""
     from protochain.structure.formats.frames import open_frames
 
-    every = -(-len(log) // _MOST)
+    stride = -(-len(log) // _MOST)
     frames = [
-        superposed(structure.with_positions(each.x), structure)
-        for k, each in enumerate(open_frames(trajectory)) if k % every == 0 and each.x is not None
+        superposed(structure.with_positions(frame.x), structure)
+        for k, frame in enumerate(open_frames(trajectory)) if k % stride == 0 and frame.x is not None
     ]  # fmt: skip
-    times = log["time_ps"].to_numpy()[::every][: len(frames)]
+    times = log["time_ps"].to_numpy()[::stride][: len(frames)]
     suffix, heavy = common_suffix([structure]), structure.atom_element != "H"
     skip = -(-len(frames) // max(2, min(_SHOWN, _ATOMS // max(1, int(heavy.sum())))))
-    shown = [np.rint(100.0 * ANGSTROM_PER_NM * each.positions[heavy]) for each in frames[::skip]]
+    shown = [np.rint(100.0 * ANGSTROM_PER_NM * frame.positions[heavy]) for frame in frames[::skip]]
     write_page(
         path,
         "simulated.html",
@@ -62,7 +62,7 @@ def write_simulated(
         },
         text=as_text(frames[0], suffix, hydrogens=False),
         format=suffix.removeprefix("."),
-        coordinates=[each.astype(int).ravel().tolist() for each in shown],
+        coordinates=[frame.astype(int).ravel().tolist() for frame in shown],
         times=[round(float(t), 4) for t in times[::skip]],
         library=library(),
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba"),
@@ -72,7 +72,7 @@ def write_simulated(
 def averages(log: pd.DataFrame) -> pd.DataFrame:
     """Mean, standard deviation, lowest, highest and drift of each quantity of a log, a row each."""
     time, rows = log["time_ps"].to_numpy(), []
-    for name in (each for each in log.columns if each not in ("step", "time_ps", "seconds")):
+    for name in (column for column in log.columns if column not in ("step", "time_ps", "seconds")):
         values = log[name].to_numpy(dtype=float)
         drift = np.polyfit(time, values, 1)[0] if np.isfinite(values).all() and np.ptp(time) > 0.0 else np.nan
         rows.append([heading(str(name)), values.mean(), values.std(), values.min(), values.max(), drift])
@@ -86,8 +86,8 @@ def _log(log: pd.DataFrame) -> Figure:
     drawn = [(label, names) for label, names in drawn if names]
     figure, axes = panels(None, (len(drawn), 1), (8, 2.1 * len(drawn)), sharex=True)
     for ax, (label, names) in zip(axes, drawn, strict=True):
-        named = {heading(name).split(",")[0]: name for name in names}
-        for look, (stated, name) in zip(looks(named).values(), named.items(), strict=True):
+        columns = {heading(name).split(",")[0]: name for name in names}
+        for look, (stated, name) in zip(looks(columns).values(), columns.items(), strict=True):
             ax.plot(log["time_ps"], log[name], **look.line(stated) | {"marker": "", "linewidth": 1.2})
         ax.set_ylabel(label.replace(", ", ",\n") if len(label) > 20 else label)
         if len(names) > 1:
@@ -99,7 +99,7 @@ def _log(log: pd.DataFrame) -> Figure:
 
 def rmsf(structure: Structure, frames: Iterable[Structure]) -> Floats:
     """(n,) float, angstrom: root mean square fluctuation of each C-alpha of superposed frames."""
-    x = np.array([each.positions[structure.alpha_carbons] for each in frames])
+    x = np.array([frame.positions[structure.alpha_carbons] for frame in frames])
     return np.asarray(ANGSTROM_PER_NM * np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=-1).mean(axis=0)))
 
 
@@ -108,8 +108,8 @@ def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
     values, of = rmsf(structure, frames), structure.atom_residue[structure.alpha_carbons]
     ax.plot(np.arange(1, len(values) + 1), values, color=COLOURS[0], marker="o", markersize=3)
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
-    named = residue_places(structure.residue_chain[of], number[of])
-    ax.set_xticks([*named], [*named.values()])
+    places = residue_places(structure.residue_chain[of], number[of])
+    ax.set_xticks([*places], [*places.values()])
     ax.set(xlabel="residue", ylabel="RMSF of C-alpha, angstrom", ylim=(0.0, None))
     plain(ax)
     return figure
@@ -118,11 +118,11 @@ def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
 def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
     """Phi and psi of all frames, coloured by time."""
     figure, (ax,) = panels(None, 1, (6.0, 3.8))
-    found = [ramachandran(each) for each in frames]
+    angles = [ramachandran(frame) for frame in frames]
     ramachandran_ground(ax)
     points = ax.scatter(
-        np.concatenate([its.phi for its in found]), np.concatenate([its.psi for its in found]), s=5,
-        c=np.repeat(times, [len(its.phi) for its in found]), cmap="viridis", linewidths=0,
+        np.concatenate([turns.phi for turns in angles]), np.concatenate([turns.psi for turns in angles]), s=5,
+        c=np.repeat(times, [len(turns.phi) for turns in angles]), cmap="viridis", linewidths=0,
     )  # fmt: skip
     ax.set(xlabel="phi, degrees", ylabel="psi, degrees")
     figure.colorbar(points, ax=ax, label="time, ps")

@@ -14,14 +14,14 @@ from protochain.structure import ca_rmsd
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
     """Spread of each method, from its solution and its further runs: one row per method."""
     runs = [[s, *(r for r in repeats if r.method == s.method)] for s in solutions]
-    return pd.DataFrame([{column.key: column.value(each) for column in COLUMNS} for each in runs])
+    return pd.DataFrame([{column.key: column.value(solution) for column in COLUMNS} for solution in runs])
 
 
 def _repeats_exactly(runs: Sequence[Solution]) -> bool:
     return runs[0].recipe.repeats_exactly(runs[0].energy_function)
 
 
-def _apart(runs: Sequence[Solution]) -> float:
+def _distance(runs: Sequence[Solution]) -> float:
     """Largest C-alpha RMSD between two ends, angstrom."""
     pairs = combinations(runs, 2)
     return max((ca_rmsd(runs[0].structure, a.x, b.x) for a, b in pairs), default=0.0)
@@ -35,7 +35,7 @@ COLUMNS = (
     Column("energy_lowest_kj_mol", lambda runs: min(s.end.energy for s in runs)),
     Column("energy_median_kj_mol", lambda runs: float(np.median([s.end.energy for s in runs]))),
     Column("energy_highest_kj_mol", lambda runs: max(s.end.energy for s in runs)),
-    Column("ca_rmsd_between_angstrom", _apart),
+    Column("ca_rmsd_between_angstrom", _distance),
     Column(
         "evaluations_median",
         lambda runs: float(np.median([s.n_evaluations for s in runs])),

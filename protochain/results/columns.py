@@ -125,8 +125,8 @@ def of_remains(keys: Iterable[str]) -> Iterator[Column]:
 
 
 def _remaining(key: str, of: Any) -> list[str]:
-    found: list[str] = of.remains_end[key]
-    return found
+    residues: list[str] = of.remains_end[key]
+    return residues
 
 
 def of_terms(names: Iterable[str]) -> Iterator[Column]:
@@ -139,8 +139,8 @@ def of_terms(names: Iterable[str]) -> Iterator[Column]:
 
 
 def _term(name: str, when: str, of: Any) -> float | None:
-    found: float | None = getattr(of, f"terms_{when}").get(name)
-    return found
+    value: float | None = getattr(of, f"terms_{when}").get(name)
+    return value
 
 
 def _restraints(which: int, of: Any) -> float | None:
@@ -185,4 +185,4 @@ def of_losses(structure: Callable[[Any], Any]) -> Iterator[Column]:
     yield Column("lost_atoms", lambda r: lost_atoms(structure(r).losses), kind=list[str])
     yield Column("n_lost_atoms", lambda r: n_lost(structure(r).losses))
     yield Column("far_molecules", lambda r: far_molecules(structure(r).losses), kind=list[str])
-    yield Column("repairs", lambda r: [str(each) for each in structure(r).repairs], kind=list[str])
+    yield Column("repairs", lambda r: [str(repair) for repair in structure(r).repairs], kind=list[str])

@@ -44,7 +44,7 @@ def panels(
         return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()
     axes = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
     n = rows * columns
-    if len(axes) not in {min(least, n), n} or not all(isinstance(each, Axes) for each in axes):
+    if len(axes) not in {min(least, n), n} or not all(isinstance(axis, Axes) for axis in axes):
         number = f"{n}" if least >= n else f"{least} or {n}"
         raise ProtochainError(f"ax: give {number} Axes of matplotlib, as plt.subplots makes them")
     return axes[0].figure, axes

@@ -33,7 +33,7 @@ def document(command: str, version: int, contract: Contract) -> Schema:
     }
     if contract.files:
         names: list[Schema] = [{"const": name} for name in contract.files]
-        names += [{"pattern": each} for each in contract.more]
+        names += [{"pattern": pattern} for pattern in contract.more]
         defs["folder"] = {
             "type": "array", "items": {"anyOf": names},
             "allOf": [{"contains": {"const": name}} for name in contract.files],
@@ -56,7 +56,7 @@ def schema(kind: Kind) -> Schema:
     if get_origin(kind) is NotRequired:
         return schema(get_args(kind)[0])
     if isinstance(kind, Mapping):
-        needed = [name for name, its in kind.items() if get_origin(its) is not NotRequired]
+        needed = [name for name, hint in kind.items() if get_origin(hint) is not NotRequired]
         return _object(kind, needed)
     if isinstance(kind, list):
         return {"type": "array", "items": _one_of(kind)}
@@ -65,20 +65,20 @@ def schema(kind: Kind) -> Schema:
     if kind is Any:
         return {}
     if isinstance(kind, type) and issubclass(kind, Enum):
-        return {"enum": [each.value for each in kind]}
+        return {"enum": [part.value for part in kind]}
     if is_typeddict(kind):
         return _object(get_type_hints(kind), sorted(kind.__required_keys__))
     if is_dataclass(kind):
         hints = get_type_hints(kind)
-        return _object(hints, [each.name for each in fields(kind)])
+        return _object(hints, [part.name for part in fields(kind)])
     origin, args = get_origin(kind), get_args(kind)
     if origin is Literal:
         return {"enum": [*args]}
     if origin in (Union, UnionType):
-        schemas = [schema(each) for each in args]
+        schemas = [schema(part) for part in args]
         # Plain types in one list, which is shorter.
-        is_plain = all({*each} == {"type"} for each in schemas)
-        return {"type": [each["type"] for each in schemas]} if is_plain else {"anyOf": schemas}
+        is_plain = all({*part} == {"type"} for part in schemas)
+        return {"type": [part["type"] for part in schemas]} if is_plain else {"anyOf": schemas}
     if origin in (list, tuple):
         return {"type": "array", "items": schema(args[0])}
     if origin is dict:
@@ -88,16 +88,16 @@ def schema(kind: Kind) -> Schema:
 
 def _object(kinds: Mapping[str, Kind], needed: Sequence[str]) -> Schema:
     """Schema of an object with no names but these, and ``OTHERS`` if it may have any; units in words."""
-    named = {name: kind for name, kind in kinds.items() if name != OTHERS}
+    known_kinds = {name: kind for name, kind in kinds.items() if name != OTHERS}
     return {
         "type": "object",
-        "properties": {name: schema(kind) | _told(name) for name, kind in named.items()},
-        "required": [name for name in needed if name in named],
+        "properties": {name: schema(kind) | _units_of(name) for name, kind in known_kinds.items()},
+        "required": [name for name in needed if name in known_kinds],
         "additionalProperties": schema(kinds[OTHERS]) if OTHERS in kinds else False,
     }
 
 
-def _told(name: str) -> Schema:
+def _units_of(name: str) -> Schema:
     return {"description": heading(name)} if any(name.endswith(unit) for unit in UNITS) else {}
 
 
@@ -107,6 +107,6 @@ def cell(kind: Kind) -> Kind:
         return NotRequired[cell(get_args(kind)[0])]
     origin = get_origin(kind)
     plain = get_args(kind) if origin in (Union, UnionType) else (kind,)
-    if any(isinstance(each, list) or each not in _PLAIN for each in plain):
+    if any(isinstance(kind_schema, list) or kind_schema not in _PLAIN for kind_schema in plain):
         return str | None
     return Union[(*plain, NoneType)]  # of types known at run time only

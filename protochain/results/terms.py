@@ -11,13 +11,13 @@ from protochain.results.columns import heading
 def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """Energy of each term at the start and at each end, from records by the names of the ends."""
     rows = []
-    for key in dict.fromkeys(key for each in records.values() for key in each):
+    for key in dict.fromkeys(key for record in records.values() for key in record):
         name = key.removeprefix("energy_").removesuffix("_start_kj_mol")
         if key != f"energy_{name}_start_kj_mol":
             continue
         # A run that failed has no numbers.
-        start = next((each[key] for each in records.values() if each.get(key) is not None), None)
-        ends = {f"{of}_kj_mol": each.get(f"energy_{name}_end_kj_mol") for of, each in records.items()}
+        start = next((record[key] for record in records.values() if record.get(key) is not None), None)
+        ends = {f"{of}_kj_mol": record.get(f"energy_{name}_end_kj_mol") for of, record in records.items()}
         if start or any(ends.values()):
             rows.append({"term": heading(name), "start_kj_mol": start, **ends})
     columns = ["term", "start_kj_mol", *(f"{of}_kj_mol" for of in records)]

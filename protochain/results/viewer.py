@@ -38,29 +38,29 @@ def scene(
     shown: Mapping[str, Structure], colourings: Iterable[Colouring] = (), chosen: str = ""
 ) -> dict[str, Any]:
     """Variables of the viewer's template, with all structures superposed on the first."""
-    (first_name, first), *others = shown.items()
-    ends = {name: superposed(each, first) for name, each in others}
-    moved = {name: each.positions - first.positions for name, each in ends.items()}
+    (first_name, first), *other_structures = shown.items()
+    ends = {name: superposed(model, first) for name, model in other_structures}
+    moved = {name: model.positions - first.positions for name, model in ends.items()}
     away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
     suffix = common_suffix(shown.values())
     # Displacements are of atoms: they go where the viewer reads a number of each, the column of B factors.
-    texts = {first_name: first} | {name: replace(each, b_factor=away[name]) for name, each in ends.items()}
+    texts = {first_name: first} | {name: replace(model, b_factor=away[name]) for name, model in ends.items()}
     models = [
         {
             "name": name,
             "format": suffix.removeprefix("."),
-            "text": as_text(each, suffix, hydrogens=each.n_atoms <= _ALL_ATOMS),
+            "text": as_text(model, suffix, hydrogens=model.n_atoms <= _ALL_ATOMS),
         }
-        for name, each in texts.items()
+        for name, model in texts.items()
     ]
     stated = [_of_atoms(first, away)] if ends else []
-    stated += [_of_residues(each, tuple(shown)) for each in colourings]
+    stated += [_of_residues(model, tuple(shown)) for model in colourings]
     return {
         "models": models,
         "library": library(),
         "colours": (START, *(look.colour for look in looks(ends).values())),
         "colourings": stated,
-        "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
+        "chosen": next((k for k, model in enumerate(stated) if model["name"] == chosen), -1),
         "residues": _residues(first, suffix),
     }
 
@@ -89,20 +89,20 @@ _MOST = 0.98
 
 
 def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any]:
-    heavy = np.concatenate([each[structure.atom_element != "H"] for each in away.values()])
+    heavy = np.concatenate([distances[structure.atom_element != "H"] for distances in away.values()])
     high = float(np.clip(np.quantile(heavy, _MOST), 0.1, _FULL_RED))
     return {"name": DISPLACEMENT, "low": 0.0, "high": high, "is_signed": False, "values": None}
 
 
 def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
     """A colouring with its scale, in numbers that are short in a page and that JSON has."""
-    every = np.concatenate([np.empty(0), *colouring.values.values()])
-    every = every[np.isfinite(every)]
+    finite_values = np.concatenate([np.empty(0), *colouring.values.values()])
+    finite_values = finite_values[np.isfinite(finite_values)]
     if colouring.is_signed:
-        high = float(np.quantile(np.abs(every), _MOST)) if len(every) else 0.0
+        high = float(np.quantile(np.abs(finite_values), _MOST)) if len(finite_values) else 0.0
         low = -high
     else:
-        low, high = np.quantile(every, (0.0, _MOST)).tolist() if len(every) else (0.0, 0.0)
+        low, high = np.quantile(finite_values, (0.0, _MOST)).tolist() if len(finite_values) else (0.0, 0.0)
     values = [
         None if name not in colouring.values
         else [float(f"{v:.4g}") if np.isfinite(v) else None for v in colouring.values[name].tolist()]
@@ -127,24 +127,26 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
             for r in residues
         ]
 
-    found = []
-    for each in structure.ligands:
-        own = int(structure.atom_residue[each.atoms[0]])
+    pocket_list = []
+    for ligand in structure.ligands:
+        residue = int(structure.atom_residue[ligand.atoms[0]])
         near = {
             r
             for x in ends
-            for r in structure.atom_residue[cKDTree(x[each.atoms]).query(x)[0] < _POCKET].tolist()
+            for r in structure.atom_residue[cKDTree(x[ligand.atoms]).query(x)[0] < _POCKET].tolist()
         }
-        name = str(structure.residue(own))
-        found.append(
+        name = str(structure.residue(residue))
+        pocket_list.append(
             {
                 "name": name,
-                "ligand": selected([own]),
-                "near": selected(sorted(near - {own})),
-                "bonds": [[atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == own) != (of[j] == own)],
+                "ligand": selected([residue]),
+                "near": selected(sorted(near - {residue})),
+                "bonds": [
+                    [atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == residue) != (of[j] == residue)
+                ],
             }
         )
-    return found
+    return pocket_list
 
 
 class View:
