@@ -1,1 +1,1 @@
-"""Where proteins and mechanics meet: rotatable bonds, and a Structure and its hinges as a Chain."""
+"""Interface of proteins and mechanics: rotatable bonds, and a Structure and its hinges as a Chain."""

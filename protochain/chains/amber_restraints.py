@@ -34,7 +34,7 @@ INERT = {
     **dict.fromkeys(("ninc", "imult", "r0a", "r1a", "r2a", "r3a", "r4a", "k0a", "rk2a", "rk3a"),
                     "without ifvari"),
 }  # fmt: skip
-"""Variables without an effect on the energies that are read, and why."""
+"""Variables that do not change the energies, and the reason."""
 
 _REFUSED = {
     "nstep1": "restraints of some steps only", "nstep2": "restraints of some steps only",
@@ -47,7 +47,7 @@ _REFUSED = {
 
 
 def restraints_of_amber(text: str) -> Iterator[Restraint]:
-    """Yield the restraint of each namelist of a DISANG file; atoms and residues by their order.
+    """Yield the restraint of each namelist of a DISANG file, with atoms and residues by number.
 
     Units are kcal/mol, angstrom and degrees. The namelist with ``iat(1)=0`` ends the file, as in AMBER's
     manual, "Distance, angle and torsional restraints". Between ``r3`` and ``r4`` the energy is
@@ -83,7 +83,7 @@ _TOKEN = re.compile(
 
 
 def _namelists(text: str) -> Iterator[tuple[int, str, str]]:
-    """Line, name and body of each namelist; text between them is a comment."""
+    """Line, name and body of each namelist. Text between namelists is a comment."""
     text, position = _COMMENT.sub(lambda match: match[1] or "", text), 0
     while begin := _NEXT.match(text, position) or _LINE.search(text, position):
         line, name = text.count("\n", 0, begin.start(1)) + 1, begin[1].lower()
@@ -143,7 +143,7 @@ _WELL = ("r1", "r2", "r3", "r4", "rk2", "rk3")
 
 
 def _expand_parabola(variables: dict[str, Any]) -> dict[str, Any]:
-    """Variables with a parabola of k0 around r0 as AMBER writes it, into the bounds and constants."""
+    """Variables in which a parabola of k0 around r0 is replaced by bounds and constants, as in AMBER."""
     if not (k0 := variables.get("k0", {}).get(1)):
         return variables
     r0 = variables.get("r0", {}).get(1, 0.0)
@@ -155,9 +155,9 @@ def _expand_parabola(variables: dict[str, Any]) -> dict[str, Any]:
 
 def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
     """Restraint of a namelist."""
-    for name, what in _REFUSED.items():
+    for name, feature in _REFUSED.items():
         if any(variables.get(name, {}).values()):
-            raise ProtochainError(f"&rst: {name}: {what} are not implemented; remove it")
+            raise ProtochainError(f"&rst: {name}: {feature} are not implemented; remove it")
     if any(value != 1 for value in variables.get("fxyz", {}).values()):
         raise ProtochainError("&rst: fxyz: components of a distance are not implemented; remove it")
 
@@ -167,8 +167,10 @@ def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
     iat = [variables["iat"].get(k, 0) for k in range(1, 9)]
     n = iat.index(0) if 0 in iat else 8
     if n not in (2, 4) or any(iat[n:]):
-        what = "angles" if n == 3 else f"restraints of {n} atoms"
-        raise ProtochainError(f"&rst: iat: {what} are not implemented; give two atoms, or four of a dihedral")
+        feature = "angles" if n == 3 else f"restraints of {n} atoms"
+        raise ProtochainError(
+            f"&rst: iat: {feature} are not implemented; give two atoms, or four of a dihedral"
+        )
     has_groups, turns = min(iat) < 0, n == 4
     if has_groups and turns:
         raise ProtochainError("&rst: igr: groups in dihedrals are not implemented; give four atoms")

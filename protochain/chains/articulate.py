@@ -26,13 +26,13 @@ from protochain.structure.select import moved_of
 from protochain.structure.select import moving as moving_atoms
 
 
-def _as_of(build: Callable[..., Chain], source: Any, named: dict[str, Any]) -> Chain:
-    """Chain of a source: cut as its own, if it has one, but for what is named."""
+def _as_of(build: Callable[..., Chain], source: Any, arguments: dict[str, Any]) -> Chain:
+    """Build the chain of a source. Arguments without a name are those from the chain of the source."""
     chain: Any = getattr(source, "chain", source)
     brought: dict[str, Any] = moved_of(source)
     if isinstance(chain, Chain):
         brought |= {"hinges": chain.opened, "root": chain.root, "hydrogen_mass": chain.hydrogen_mass}
-    return build(source, **(brought | named))
+    return build(source, **(brought | arguments))
 
 
 @checked(
@@ -52,34 +52,34 @@ def build_chain(
 
     Parameters
     ----------
-    structure : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure with all its hydrogens. A chain or a result brings what is not named here.
+    structure : Structure, path, or any argument of :func:`protochain.as_structure`
+        Structure with all its hydrogens. A chain or a result supplies all arguments that are not given.
     hinges : str or sequence of str
-        Kinds of bond that turn, of ``phi psi omega chi rotors``; ``polar`` for those rotors alone that turn
-        hydrogens of O, S and N; with ``angles``, also the backbone bond angles at N and C-alpha, wherever
-        the phi or psi beside them turns; ``nucleic`` for the backbone and the bases of DNA and RNA,
-        ``ligand`` for single bonds of ligands, ``glycan`` for the links of sugars. Rings are always rigid.
-        ``phi@A:3`` opens one dihedral of a backbone or side chain, and ``-phi@A:3`` freezes it.
+        Kinds of bond that turn: any of ``phi psi omega chi rotors``. ``polar`` is the rotors of O-H, S-H and
+        N-H groups. ``angles`` adds the backbone bond angles at N and C-alpha next to a phi or psi that turns.
+        ``nucleic`` is the backbone and the bases of DNA and RNA, ``ligand`` the single bonds of ligands,
+        ``glycan`` the links of sugars. Rings are always rigid. ``phi@A:3`` opens one dihedral of a backbone
+        or side chain, and ``-phi@A:3`` freezes it.
     root : str
-        ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
-        another, as do molecules beside them that the force field has parameters for; beside obstacles the
-        largest chain stays in place. What moves masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
-        ``quench``, simulations, modes) frees what ``auto`` has fixed: a fixed body has infinite mass. A chain
-        with atoms outside the selection is always fixed.
+        ``fixed``, ``free``, or ``auto``. With ``auto``, several chains are free to move relative to one
+        another and to hetero molecules that have parameters. If there are obstacles, the largest chain stays
+        in place. Methods with masses (``md``, ``anneal``, ``kcm-metric``, ``fire``, ``quench``, simulations,
+        modes) free the roots that ``auto`` has fixed, because a fixed body has infinite mass. A chain with
+        atoms outside the selection is always fixed.
     move : str
-        Selection of mobile residues or atoms, in the selection language of MDAnalysis: a hinge turns if the
-        third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues;
-        ``sidechain``: side chains only; ``interface``: residues that touch another chain). Atoms beyond a
-        hinge move with it, selected or not; methods that move single atoms keep unselected ones fixed.
+        Selection of mobile residues or atoms, in the selection language of MDAnalysis. A hinge turns if the
+        third atom of its dihedral is selected. ``resid 5:20`` selects all dihedrals of these residues,
+        ``sidechain`` the side chains, ``interface`` residues that touch another chain. All atoms beyond a
+        hinge move with it. Methods that move single atoms move only selected atoms.
     hydrogen_mass : float, optional, amu
-        Mass of every hydrogen, taken from the heavy atom it is bonded to (hydrogen mass repartitioning):
-        light rotors turn slower and time steps can be longer, while equilibrium averages stay the same.
+        Mass of every hydrogen, by hydrogen mass repartitioning from its heavy atom. Light rotors turn slower,
+        so that time steps can be longer. Equilibrium averages do not change.
 
     Returns
     -------
     Chain
-        One tree for each chain, rooted at the C-alpha of its middle residue; with a selection, at the
-        largest rigid body outside it.
+        One tree for each chain. Its root is at the C-alpha of the middle residue, or at the largest rigid
+        body outside the selection.
 
     Raises
     ------
@@ -109,10 +109,12 @@ def build_chain(
         raise ChainError(
             f"{structure.name}: there is no hinge {min(strange)!r}; name it as phi@A:3 or chi1@A:3"
         )
-    wanted = [hinge for hinge in possible if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
-    turning, group = turning_hinges(structure, bonds, wanted)
+    requested_kinds = [
+        hinge for hinge in possible if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)
+    ]
+    turning, group = turning_hinges(structure, bonds, requested_kinds)
     # A molecule without a backbone or side chain to turn, as ACE-NME, is one free body.
-    is_body = not (wanted or structure.mobile.any()) and move == defaults.MOVE
+    is_body = not (requested_kinds or structure.mobile.any()) and move == defaults.MOVE
     is_body = is_body and " ".join(opened) == defaults.HINGES
     if not turning and not structure.mobile.any() and not is_body:
         of = "" if move == "all" else f" in {move!r}"
@@ -183,13 +185,13 @@ _STRAIGHT = 0.05
 
 
 def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:
-    """Chain and energy of what :func:`as_structure` takes: results are cut anew at their end."""
+    """Chain and energy of any argument of :func:`as_structure`. Results are divided anew at their end."""
     chain = source if isinstance(source, Chain) else build_chain(source)
     return chain, as_energy(energy, chain.structure, source)
 
 
 def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
-    """Chain whose roots are free unless ``fixed`` was asked for, and hydrogens of its mass, or another."""
+    """Chain with free roots unless ``root`` is ``fixed``, and with another hydrogen mass if given."""
     mass = chain.hydrogen_mass if hydrogen_mass is None else hydrogen_mass
     if chain.root != "auto" and mass == chain.hydrogen_mass:
         return chain
@@ -197,11 +199,11 @@ def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
     return build_chain(chain, root=root, hydrogen_mass=mass)
 
 
-def transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
-    """Coordinates q of a chain for one with the same bodies, whose roots may have been freed."""
-    start = made.q0.copy()
-    old, new = chain.tree.q_start, made.tree.q_start
-    start[new[made.hinge_body]] = q[old[chain.hinge_body]]
+def transfer_coordinates(chain: Chain, target: Chain, q: Floats) -> Floats:
+    """Convert coordinates q to a chain of the same bodies, whose roots may be free."""
+    start = target.q0.copy()
+    old, new = chain.tree.q_start, target.tree.q_start
+    start[new[target.hinge_body]] = q[old[chain.hinge_body]]
     for b in np.flatnonzero(chain.tree.kind == HingeKind.FREE):
         start[new[b] : new[b] + 7] = q[old[b] : old[b] + 7]
     return start
@@ -226,7 +228,7 @@ def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:
 
 
 def _root_atom(structure: Structure, atoms: Integers, moving: np.ndarray, group: Integers) -> int:
-    """Return an atom of the root body: the largest group of fixed atoms, or that of the middle residue."""
+    """Return an atom of the root body: of the largest fixed group, or of the middle residue."""
     fixed = atoms[~moving[atoms]]
     if len(fixed):
         return int(fixed[np.argmax(np.bincount(group[fixed])[group[fixed]])])
@@ -238,7 +240,7 @@ def _root_atom(structure: Structure, atoms: Integers, moving: np.ndarray, group:
 
 
 class _Body(NamedTuple):
-    """Parent of a body, and the hinge between them; a root has none, and is named by one of its atoms."""
+    """Parent of a body, and the hinge between them. A root has no hinge and is named by one of its atoms."""
 
     parent: int
     kind: HingeKind

@@ -43,9 +43,9 @@ class Chain(Value):
     hinge_body : (n_hinges,) int
         Body beyond each hinge, whose coordinate is ``q[tree.q_start[hinge_body[i]]]``.
     loops : (n_loops, 2) int
-        Bonds at which loops were cut (disulfides and other cross-links); the force field keeps them.
+        Bonds at which loops were cut (disulfides and other cross-links). The force field still has them.
     q0 : (n_q,) float
-        Coordinates of the input pose; those of hinges are measured dihedrals.
+        Coordinates of the input pose. Hinges have measured dihedrals.
     opened, root, move : str
         Arguments ``hinges``, ``root`` and ``move`` of :func:`build_chain`.
     moving : (na,) bool
@@ -101,15 +101,17 @@ class Chain(Value):
 
     def hinge(self, name: str) -> int:
         """Number of the only hinge of a name, as ``phi A:3``, ``chi1@B:12A``."""
-        asked = " ".join(text(name, "hinge").replace("@", " ").split())
-        found = [i for i, hinge in enumerate(self.hinges) if hinge.name == asked]
-        if len(found) == 1:
-            return found[0]
-        _, _, place = asked.rpartition(" ")
-        beside = [each.name for each in self.hinges if each.name.endswith(f" {place}")]
-        beside = beside or [each.name for each in self.hinges[:2]]
-        why = f"{len(found)} have this name" if found else f"does not turn; {', '.join(beside)} do"
-        raise ChainError(f"{self.structure.name}: hinge {name!r}: {why}")
+        full_name = " ".join(text(name, "hinge").replace("@", " ").split())
+        matches = [i for i, hinge in enumerate(self.hinges) if hinge.name == full_name]
+        if len(matches) == 1:
+            return matches[0]
+        _, _, place = full_name.rpartition(" ")
+        alternatives = [each.name for each in self.hinges if each.name.endswith(f" {place}")]
+        alternatives = alternatives or [each.name for each in self.hinges[:2]]
+        reason = (
+            f"{len(matches)} have this name" if matches else f"does not turn; {', '.join(alternatives)} do"
+        )
+        raise ChainError(f"{self.structure.name}: hinge {name!r}: {reason}")
 
     def set(self, values: Mapping[str, float], q: Floats | None = None) -> Floats:
         """Coordinates with some hinges at other values.
@@ -119,7 +121,7 @@ class Chain(Value):
         values : mapping of str to float, degrees
             By the names of hinges, as ``{"phi A:3": -60.0}``.
         q : (n_q,) float, optional
-            Coordinates of all others; those of the input pose by default.
+            Coordinates of all other hinges, by default of the input pose.
 
         Returns
         -------
@@ -131,17 +133,17 @@ class Chain(Value):
         ProtochainError
             If no hinge of a name turns, or a value is not finite.
         """
-        made = np.array(self.q0 if q is None else floats(q, (self.n_q,), "q"))
+        coordinates = np.array(self.q0 if q is None else floats(q, (self.n_q,), "q"))
         for name, value in values.items():
             angle = np.deg2rad(number(value, "values"))
             if not np.isfinite(angle):
                 raise refused("values", f"{name}: {value}", "give finite numbers, in degrees")
-            made[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = angle
-        return made
+            coordinates[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = angle
+        return coordinates
 
     @cached_property
     def rigid_groups(self) -> Integers:
-        """(na, k) int: bodies in which each atom is at rest, its own first; -1 for none."""
+        """(na, k) int: bodies in which each atom is at rest, the body of the atom first, then -1."""
         at, n = pose(self, self.q0), self.n_bodies
         parent = self.tree.parent[self.hinge_body]
         # Ways across hinges, by the body they start from.
@@ -149,7 +151,7 @@ class Chain(Value):
         order = np.argsort(start, kind="stable")
         end, hinged = end[order], np.tile(self.hinge_body, 2)[order]
         first = np.searchsorted(start[order], np.arange(n + 1))
-        found = left = np.arange(self.n_atoms) * n + self.atom_body
+        pairs = left = np.arange(self.n_atoms) * n + self.atom_body
         while len(left):
             atom, body = np.divmod(left, n)
             last = np.cumsum(first[body + 1] - first[body])
@@ -160,9 +162,9 @@ class Chain(Value):
             atom, by = np.repeat(atom, ways), hinged[way]
             place = np.einsum("ai,aij->aj", at.x[atom] - at.frames.origin[by], at.frames.rotation[by])
             near = np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE
-            new = np.setdiff1d(atom[near] * n + end[way[near]], found)
-            found, left = np.union1d(found, new), np.concatenate([left, new])
-        atom, body = np.divmod(found, n)
+            new = np.setdiff1d(atom[near] * n + end[way[near]], pairs)
+            pairs, left = np.union1d(pairs, new), np.concatenate([left, new])
+        atom, body = np.divmod(pairs, n)
         body = body[np.lexsort([body, body != self.atom_body[atom], atom])]
         count = np.bincount(atom, minlength=self.n_atoms)
         rows = np.full((self.n_atoms, count.max()), -1, dtype=np.int64)
@@ -231,7 +233,7 @@ def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
     Returns
     -------
     (n_v,) float, kJ/mol/rad
-        Torques; a free root has (moment, force) about its frame's origin, the force in kJ/mol/nm. O(n).
+        Torques. A free root has (moment, force) about its frame's origin, the force in kJ/mol/nm. O(n).
 
     Examples
     --------
@@ -257,7 +259,7 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
     Returns
     -------
     (n_v, n_v) float, amu nm^2
-        M by the composite-rigid-body algorithm; see :func:`protochain.mechanics.multibody.mass_matrix`.
+        M by the composite-rigid-body algorithm of :func:`protochain.mechanics.multibody.mass_matrix`.
 
     Examples
     --------
@@ -279,7 +281,7 @@ def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method =
     tau : (n_v,) float, kJ/mol/rad
         Torques.
     method : str
-        ``articulated`` or ``fixman``; see :func:`protochain.mechanics.multibody.solve_mass`.
+        ``articulated`` or ``fixman``, as in :func:`protochain.mechanics.multibody.solve_mass`.
 
     Returns
     -------
@@ -305,7 +307,7 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
     chain, pose : Chain, Pose
         Chain of rigid bodies, and its pose at q.
     method : str
-        ``articulated`` or ``fixman``; see :func:`protochain.mechanics.multibody.log_det_mass`.
+        ``articulated`` or ``fixman``, as in :func:`protochain.mechanics.multibody.log_det_mass`.
 
     Returns
     -------

@@ -26,8 +26,8 @@ def restraints_of_cns(text: str) -> Iterator[Restraint]:
     """Yield the restraint of each ``assign`` statement of a table: angstrom, degrees, kcal/mol.
 
     Distances between several atoms, and further pairs after ``or``, are (sum r^-6)^(-1/6). Distances have no
-    stiffness there; a ``weight`` multiplies that of :class:`Restraint`. Of dihedrals E = C well^ed: X-PLOR's
-    manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints".
+    stiffness in CNS. A ``weight`` multiplies the stiffness of :class:`Restraint`. Dihedrals have E = C
+    well^ed: X-PLOR's manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints".
     """
     tokens = _tokens(text)
     while tokens:
@@ -47,7 +47,7 @@ def _is(word: str, *names: str) -> bool:
 
 
 def _tokens(text: str) -> deque[_Token]:
-    """Words and parenthesised selections, with their lines; comments are left out."""
+    """Words and parenthesised selections with their lines, without comments."""
 
     def blank(match: re.Match[str]) -> str:
         return "\n" * match[0].count("\n")
@@ -94,10 +94,10 @@ def _read_assign(tokens: deque[_Token]) -> Restraint:
     places, numbers, weight = _selections(tokens), list[float](), 1.0
     n = len(places)
     while tokens:
-        if more := _numbers(tokens):
+        if further := _numbers(tokens):
             if numbers:
-                raise ProtochainError(f"assign: {more[0]:g} belongs to no word; remove it")
-            numbers = more
+                raise ProtochainError(f"assign: {further[0]:g} belongs to no word; remove it")
+            numbers = further
         elif n == 2 and tokens[0].text.lower() == "or":
             tokens.popleft()
             pair = _selections(tokens)
@@ -123,14 +123,14 @@ def _read_assign(tokens: deque[_Token]) -> Restraint:
         return Restraint(
             "dihedral", tuple(places), *bounds, 2.0 * KJ_PER_KCAL * force, exponent=int(exponent)
         )
-    what = excerpt(" ".join(f"({place})" for place in places))
+    selections = excerpt(" ".join(f"({place})" for place in places))
     raise ProtochainError(
-        f"assign {what}: not a distance nor a dihedral; give 2 selections and 3 numbers, or 4 and 4"
+        f"assign {selections}: not a distance nor a dihedral; give 2 selections and 3 numbers, or 4 and 4"
     )
 
 
 def _skip_header(word: str, tokens: deque[_Token]) -> None:
-    """Remove the tokens of a statement without an effect; refuse all others."""
+    """Remove the tokens of a statement without an effect, and refuse all other statements."""
 
     def pop_value() -> str:
         while tokens and tokens[0].text == "=":

@@ -28,9 +28,9 @@ def parse_selection(text: str) -> Selection:
     "Atom Selection".
     """
     tokens = _TOKEN.findall(re.sub(r"\s*:\s*", ":", text))
-    selection, rest = _any_of(tokens)
-    if rest:
-        raise ProtochainError(f"selection ({text}): {rest[0]!r} is not expected; give and, or")
+    selection, remainder = _any_of(tokens)
+    if remainder:
+        raise ProtochainError(f"selection ({text}): {remainder[0]!r} is not expected; give and, or")
     return selection
 
 

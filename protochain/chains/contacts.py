@@ -19,7 +19,7 @@ OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
 _NEAR = 0.8
-"""Fraction below which all atoms are that are as near as bonded ones."""
+"""Fraction below which all atoms are that are as near as bonded atoms."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Overlap:
     share: float  # Distance as a fraction of the sum of the van der Waals radii.
     remedy: str  # Methods that can separate them.
     atoms: tuple[int, int]  # Their indices.
-    beside: bool  # Whether one of them is of the protein and the other of a molecule kept with it.
+    is_with_hetero: bool  # Whether one of them is of the protein and the other of a molecule kept with it.
 
     def __str__(self) -> str:
         return (
@@ -48,7 +48,7 @@ def radii(structure: Structure) -> Floats:
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
-    """Pairs (n, 2), sorted, closer than a share of their radii's sums (n,), nm; ``bonds`` apart."""
+    """Sorted pairs (n, 2) closer than a share of summed radii (n,), nm, and over ``bonds`` bonds apart."""
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
     # Obstacles do not move relative to one another.
@@ -99,7 +99,7 @@ def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
 
 @of_atoms
 def _covalent(structure: Structure) -> Floats:
-    """(na,) float, nm: what adds up to the longest bond of two atoms; -inf for hydrogens and metals."""
+    """(na,) float, nm: radii whose sum is the longest bond of two atoms, -inf for hydrogens and metals."""
     radius = {
         symbol: -np.inf
         if symbol == "H" or is_metal(symbol)
@@ -110,10 +110,10 @@ def _covalent(structure: Structure) -> Floats:
 
 
 def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
-    """List the nonbonded pairs that overlap, the worst first, and whether torsions can part them."""
+    """List the overlapping nonbonded pairs, worst first, and whether torsions can separate them."""
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    share, beside = distance / touch, _is_beside(structure, pairs)
+    share, with_hetero = distance / touch, _is_beside(structure, pairs)
     groups = chain.rigid_groups if chain is not None and len(pairs) else None
     listed = []
     for k in np.argsort(share, kind="stable"):
@@ -127,7 +127,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
         listed.append(
             Overlap(
                 structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),
-                float(share[k]), remedy, (i, j), bool(beside[k]),
+                float(share[k]), remedy, (i, j), bool(with_hetero[k]),
             )
         )  # fmt: skip
     return listed

@@ -1,4 +1,4 @@
-"""Frame of results: that of the start, unless something holds a run in place."""
+"""Frame of results: the frame of the start, unless a run is fixed in space."""
 
 from dataclasses import dataclass
 
@@ -23,8 +23,9 @@ _UNCHANGED = 1e-6
 class Frame:
     """Frame in which positions leave a run.
 
-    A free run drifts: nothing in its energy knows a place. Its positions are superposed on the start by one
-    rigid motion of all atoms, which changes no distance. Where something holds a run, they stay as they are.
+    A free run drifts, because its energy does not depend on the place. Its positions are superposed on the
+    start by one rigid motion of all atoms, which changes no distance. A run that is fixed in space is not
+    superposed.
     """
 
     start: Structure  # Structure to superpose on.
@@ -53,7 +54,7 @@ class Frame:
 
 
 def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
-    """Frame of a run's results, with an energy of all terms; ``held_by``, atoms fixed and maps hold it."""
+    """Frame of a run's results. ``held_by``, fixed atoms or the energy of all terms can fix it in space."""
     if not chain.moving.all():
         held_by = "atoms that stand still"
     # Force fields know no places; a System or callable of the caller's may.
@@ -63,7 +64,7 @@ def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
 
 
 def knows_places(energy: Energy, x: Floats) -> bool:
-    """Whether the energy changes when all atoms move as one; force fields, which have atoms, know none."""
+    """Whether the energy changes when all atoms move as one, which force fields with atoms never do."""
     if energy.atoms:
         return False
     value, forces = energy.exact(x)

@@ -15,7 +15,7 @@ from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.sugars import last_of_ring
 
 HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand", "glycan")
-"""Kinds of hinge that can be opened; ``polar`` are those of the rotors that turn hydrogens of O, S and N."""
+"""Kinds of hinge that can be opened. ``polar`` is the rotors that turn hydrogens of O, S and N."""
 
 ON_AXIS = np.deg2rad(5.0)
 """A hinge is closed if all atoms beyond it lie this near its axis: threshold of cctbx's scitbx/rigid_body."""
@@ -48,7 +48,7 @@ class Hinge:
 
     @property
     def name(self) -> str:
-        """By which it is asked for: ``phi A:3``; torsions of one ligand share theirs."""
+        """Name of the hinge, as ``phi A:3``. All torsions of a ligand have one name."""
         return f"{self.kind} {self.chain}:{self.residue_number}{self.insertion_code}"
 
     def __str__(self) -> str:
@@ -57,33 +57,35 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues not along chains; a molecule is rigid at the first."""
+    """(nbonds,) bool: bonds between residues not along chains. A molecule is rigid at its first bond."""
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
     free = structure.mobile[first] | structure.mobile[second]
-    beside = structure.kept[first] | structure.kept[second]
-    cut = (r1 != r2) & (beside | ~peptide) & ~free
-    held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
-    _, rows = np.unique(second[held], return_index=True)
-    cut[held[rows]] = False
+    with_hetero = structure.kept[first] | structure.kept[second]
+    cut = (r1 != r2) & (with_hetero | ~peptide) & ~free
+    to_protein = np.flatnonzero(
+        cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first]
+    )
+    _, rows = np.unique(second[to_protein], return_index=True)
+    cut[to_protein[rows]] = False
     cut |= (r1 != r2) & free & structure.coordination
     borne = (r1 != r2) & (structure.mobile[first] != structure.mobile[second]) & ~cut
     piece = components(structure.bonds[~cut & ~borne], structure.n_atoms)
     for row in np.flatnonzero(borne).tolist():
-        one, other = piece[structure.bonds[row]]
-        cut[row] = one == other
-        piece[piece == other] = one
+        first_piece, second_piece = piece[structure.bonds[row]]
+        cut[row] = first_piece == second_piece
+        piece[piece == second_piece] = first_piece
     return cut
 
 
 def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
     """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
-    modified = _modified(structure)
-    wanted = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
-    index, named = finder(structure, wanted)
+    modified = _find_modified(structure)
+    requested = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
+    index, bonds_of = finder(structure, requested)
     for r in range(structure.n_residues):
-        named_bonds = named(r)
+        named_bonds = bonds_of(r)
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
             named_bonds += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in named_bonds:
@@ -157,15 +159,15 @@ def _is_amide(molecule: Molecule, near: Neighbours, b: int, c: int) -> bool:
     )
 
 
-def _modified(structure: Structure) -> set[int]:
+def _find_modified(structure: Structure) -> set[int]:
     """Residues of the protein whose side chains are in no table."""
     present = np.unique(structure.atom_residue[~structure.kept])
-    known = [*residues.STANDARD, *residues.CAPS]
-    return {*present[~np.isin(structure.residue_name[present], known)].tolist()}
+    tabulated = [*residues.STANDARD, *residues.CAPS]
+    return {*present[~np.isin(structure.residue_name[present], tabulated)].tolist()}
 
 
 def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[str, str, list[int | None]]]:
-    """Yield kind, name and atoms of turning bonds of a side chain, outwards; not of rings, planar pairs."""
+    """Yield kind, name and atoms of turning side-chain bonds, outwards, without rings and planar pairs."""
     atoms = [*index.values()]
     bonds = structure.bonds[np.isin(structure.bonds, atoms).all(axis=1)].tolist()
     near: Mapping[int, list[int]] = {atom: [] for atom in atoms}
@@ -179,11 +181,14 @@ def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[
     queue = [*before]
     seen = {*queue, index["C"]}
     for a in queue:
-        for b in (each for each in near[a] if each not in seen):
+        for b in (neighbour for neighbour in near[a] if neighbour not in seen):
             seen.add(b)
             queue.append(b)
             before[b] = a
-            tips = sorted((each for each in near[b] if each != a), key=lambda each: element[each] == "H")
+            tips = sorted(
+                (neighbour for neighbour in near[b] if neighbour != a),
+                key=lambda neighbour: element[neighbour] == "H",
+            )
             in_ring = bool({*near[a]} - {b} & beyond(near, a, b))
             if not tips or {a, b} <= planar or in_ring:
                 continue
@@ -198,7 +203,7 @@ def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[
 def turning_hinges(
     structure: Structure, bonds: Integers, hinges: list[Hinge]
 ) -> tuple[list[Hinge], Integers]:
-    """Hinges that turn some inertia, found until all do; and the rigid group of each atom."""
+    """Hinges that turn some inertia, and the rigid group of each atom. Repeats until all hinges do."""
     while True:
         group = _without_hinges(structure.n_atoms, bonds, hinges)
         hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
@@ -221,7 +226,7 @@ def turning_hinges(
 
 
 def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integers:
-    """(na,) int: component of each atom without the bonds of hinges; one for both ends of a ring bond."""
+    """(na,) int: component of each atom without hinge bonds. Both ends of a ring bond are in one."""
     turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
     rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
     return components(bonds[rigid], n_atoms)
@@ -239,20 +244,20 @@ def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
     for root in at:
         queue = [] if root in depth else [root]
         depth.setdefault(root, 0)
-        for one in queue:
-            for k in at[one]:
-                other = ends[k][ends[k][0] == one]
-                if other not in depth:
-                    inward[other], depth[other] = k, depth[one] + 1
-                    queue.append(other)
+        for first in queue:
+            for k in at[first]:
+                second = ends[k][ends[k][0] == first]
+                if second not in depth:
+                    inward[second], depth[second] = k, depth[first] + 1
+                    queue.append(second)
     closing: set[int] = set()
     for k in {*range(len(ends))} - {*inward.values()}:
         closing.add(k)
-        one, other = ends[k]
-        while one != other:
-            one, other = (one, other) if depth[one] >= depth[other] else (other, one)
-            closing.add(inward[one])
-            one = ends[inward[one]][ends[inward[one]][0] == one]
+        first, second = ends[k]
+        while first != second:
+            first, second = (first, second) if depth[first] >= depth[second] else (second, first)
+            closing.add(inward[first])
+            first = ends[inward[first]][ends[inward[first]][0] == first]
     return closing
 
 

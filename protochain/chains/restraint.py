@@ -19,12 +19,12 @@ PLACES = {
 }  # fmt: skip
 """How many places each kind of restraint has."""
 Sides = float | tuple[float, float]
-"""One number of both sides, or those below the lower and above the upper bound."""
+"""One number for both sides, or the numbers below the lower and above the upper bound."""
 
 
 @dataclass(frozen=True)
 class Restraint:
-    """A coordinate between two bounds: E = k/2 e^n, where e is how far the coordinate is outside.
+    """A coordinate between two bounds: E = k/2 e^n, with e the distance outside the bounds.
 
     Parameters
     ----------
@@ -34,16 +34,16 @@ class Restraint:
     places : tuple of str
         Two places of a distance, as ``A:3:CA``, a residue, or a selection. Between several atoms a
         ``distance`` is (sum r^-6)^(-1/6), as of NOEs. Further pairs of places add to this sum. A
-        ``mean-distance`` is (mean r^-6)^(-1/6). A ``centroid-distance`` is that of the centres of mass.
-        Four atoms of a dihedral, or its name, ``phi A:3``. One place of positions.
+        ``mean-distance`` is (mean r^-6)^(-1/6). A ``centroid-distance`` is the distance of the centres of
+        mass. Four atoms of a dihedral, or its name, ``phi A:3``. One place of positions.
     lower, upper : float, angstrom or degrees
         Bounds.
     stiffness : float, or two below and above the bounds, kJ/mol/nm^2 or kJ/mol/rad^2
         Constant k.
     linear : float, or two below and above the bounds, angstrom or degrees
-        Length l from which the energy goes on as a power of e, with the same slope; 0 for nowhere.
+        Length l from which the energy continues as a power of e, with the same slope. 0 means never.
     exponent : int
-        Exponent n of the energy; k is in kJ/mol/nm^n or kJ/mol/rad^n.
+        Exponent n of the energy. The unit of k is kJ/mol/nm^n or kJ/mol/rad^n.
     tail : int
         Power p of the energy beyond l, E(l) + l E'(l) ((e/l)^p - 1)/p: 1 is linear, -1 levels off.
 
@@ -98,23 +98,23 @@ class Restraint:
 
     @property
     def is_external(self) -> bool:
-        """Whether it holds the molecule from outside: its energy is of places, not of distances."""
+        """Whether the energy depends on places in space, not on distances within the molecule."""
         return self.kind == "position" and max(both_sides(self.stiffness)) > 0.0
 
     @classmethod
     def read(cls, line: str) -> Self:
-        """Read ``distance A:3:CA A:9:CA 0 6 1000``; the stiffness may be left out, quotes hold blanks."""
+        """Read ``distance A:3:CA A:9:CA 0 6 1000``. The stiffness is optional. Quotes protect blanks."""
         try:
-            kind, *rest = shlex.split(line)
+            kind, *remainder = shlex.split(line)
             options = {}
-            while rest and (named := re.fullmatch(rf"({'|'.join(_OPTIONS)})=(.+)", rest[-1])):
-                options[named[1]] = _OPTIONS[named[1]](named[2])
-                rest.pop()
-            first = _first_number(rest)
-            places, numbers = tuple(rest[:first]), rest[first:]
+            while remainder and (option := re.fullmatch(rf"({'|'.join(_OPTIONS)})=(.+)", remainder[-1])):
+                options[option[1]] = _OPTIONS[option[1]](option[2])
+                remainder.pop()
+            first = _first_number(remainder)
+            places, numbers = tuple(remainder[:first]), remainder[first:]
             numbers = ["0", *numbers] if kind == "position" else numbers
-            lower, upper, *more = numbers
-            stiffness = _read_sides(*more) if more else STIFFNESS
+            lower, upper, *stiffness_text = numbers
+            stiffness = _read_sides(*stiffness_text) if stiffness_text else STIFFNESS
             if len(places) not in PLACES[kind]:
                 raise ValueError(kind)
             bounds = float(lower), float(upper)

@@ -35,7 +35,7 @@ def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ..
 
 
 def _of_text(text: str) -> Iterable[Restraint]:
-    """Restraints of the text of a file, whose format the first words tell."""
+    """Restraints of the text of a file, in the format that its words show."""
     if re.search(r"(?im)^[ \t]*[&$]\w", text):
         return restraints_of_amber(text)
     if re.search(r"(?im)^[^#\n]*\bassi(gn?)?\b", text):
@@ -45,7 +45,7 @@ def _of_text(text: str) -> Iterable[Restraint]:
 
 
 def is_missing(source: str | Path) -> bool:
-    """Whether what is neither a file nor a number can only have been meant as a file: it is one word."""
+    """Whether a source that is neither a file nor a number is one word, and thus a missing file."""
     return isinstance(source, Path) or (len(source.split()) == 1 and source not in PLACES)
 
 

@@ -139,7 +139,7 @@ class Dihedrals(Value):
 
     @classmethod
     def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
-        """Take the four atoms of each dihedral."""
+        """Use the four atoms of each dihedral."""
         return cls(read_only(np.reshape(groups, (-1, 4)), np.int64))
 
     def values(self, x: Floats) -> Floats:
@@ -221,7 +221,7 @@ def select_violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
 
 
 def describe_violations(values: Sequence[RestraintValue]) -> list[str]:
-    """Number and worst of the violated restraints, for a message; empty if there is none."""
+    """Number and worst of the violated restraints, for a message. Empty without violations."""
     worst = select_violated(values)
     if not worst:
         return []
@@ -260,7 +260,7 @@ class Restraints(Value):
 
     @classmethod
     def of(cls, structure: Structure, source: Any) -> Self:
-        """Find the atoms of restraints, as :func:`read_restraints` takes them."""
+        """Find the atoms of restraints. The source is an argument of :func:`read_restraints`."""
         listed = read_restraints(source)
         groups = [_groups(structure, restraint) for restraint in listed]
         coordinates, rows = list[Coordinates](), list[int]()
@@ -274,7 +274,7 @@ class Restraints(Value):
         return cls(listed, tuple(coordinates), read_only(rows, np.int64))
 
     def values(self, x: Floats) -> Floats:
-        """Values (m,) of the coordinates at positions, nm or rad: those of ``row``."""
+        """Values (m,) of the coordinates at positions, nm or rad, in the order of ``row``."""
         return np.concatenate([part.values(x) for part in self.coordinates] or [np.empty(0)])
 
     def energies(self, values: Floats) -> Floats:
@@ -294,7 +294,7 @@ class Restraints(Value):
         return _Walls.of([self.listed[row] for row in self.row.tolist()])
 
     def measure(self, x: Floats) -> tuple[RestraintValue, ...]:
-        """Value and violation of each restraint at positions; of several atoms, those of the worst."""
+        """Value and violation of each restraint at positions. Of several atoms, the worst counts."""
         values = self.values(x)
         outside, walls = self._walls.outside(values), self._walls
         # A side without stiffness restrains nothing.
@@ -315,7 +315,7 @@ class Restraints(Value):
 
 @dataclass(frozen=True, eq=False)
 class _Walls:
-    """Bounds of coordinates (m,), nm or rad, and the energy outside them; of sides below and above (2, m)."""
+    """Bounds of coordinates (m,), nm or rad, and the energy outside. Values of both sides have (2, m)."""
 
     low: Floats
     high: Floats
@@ -376,22 +376,22 @@ def _at(atoms: Integers, vectors: Floats, n: int) -> Floats:
 
 def _groups(structure: Structure, restraint: Restraint) -> list[Integers]:
     """Atoms of the places of a restraint."""
-    what = f"{structure.name}: restraint {restraint}"
+    subject = f"{structure.name}: restraint {restraint}"
     if restraint.kind == "dihedral" and len(restraint.places) == 1:
         kind, _, place = restraint.places[0].replace("@", " ").partition(" ")
         r = int(structure.atom_residue[atoms_at(structure, place)[0]])
-        _, named = finder(structure, ("phi", "psi", "omega", "chi", "nucleic"))
-        dihedrals = {label: atoms for _, label, atoms in named(r) if None not in atoms}
+        _, dihedrals_of = finder(structure, ("phi", "psi", "omega", "chi", "nucleic"))
+        dihedrals = {label: atoms for _, label, atoms in dihedrals_of(r) if None not in atoms}
         if kind not in dihedrals:
-            raise StructureError(f"{what}: {place} has {', '.join(dihedrals) or 'no dihedrals'}")
+            raise StructureError(f"{subject}: {place} has {', '.join(dihedrals) or 'no dihedrals'}")
         return [np.array([k]) for k in dihedrals[kind]]
     groups = [_atoms(structure, place) for place in restraint.places]
     if restraint.kind == "dihedral" and any(len(atoms) != 1 for atoms in groups):
-        raise StructureError(f"{what}: give single atoms")
+        raise StructureError(f"{subject}: give single atoms")
     if "distance" in restraint.kind and any(
         np.intersect1d(*pair).size for pair in zip(groups[::2], groups[1::2], strict=True)
     ):
-        raise StructureError(f"{what}: an atom is on both sides")
+        raise StructureError(f"{subject}: an atom is on both sides")
     return groups
 
 
@@ -413,7 +413,7 @@ def _atoms(structure: Structure, place: str) -> Integers:
 
 @of_atoms
 def _selected_atoms(structure: Structure, place: str) -> Integers | None:
-    """Atoms of a selection in the language of CNS; None of any other place."""
+    """Atoms of a selection in the language of CNS, or None for any other place."""
     # MDAnalysis reads most of these selections, too, but takes a tenth of a second for each.
     try:
         return read_only(np.flatnonzero(parse_selection(place)(structure)), np.int64)
@@ -436,11 +436,11 @@ def _atom_in_file(structure: Structure, place: str) -> int:
 
 @of_atoms
 def _number_in_file(structure: Structure) -> tuple[Integers, Integers]:
-    """Number of each atom, and of its residue, in the order of the file, from 1; 0 of added atoms."""
+    """Number of each atom and residue in the order of the file, from 1. Added atoms have 0."""
     if structure.origin is None:
         return np.arange(structure.n_atoms) + 1, structure.atom_residue + 1
     residues = [atom.rpartition("/")[0] for atom in structure.origin.atoms]
-    order = np.cumsum([here != before for here, before in pairwise([None, *residues])])
+    order = np.cumsum([residue != before for residue, before in pairwise([None, *residues])])
     place = structure.origin.place
     # Atoms that were added belong to the residue of the others.
     of_residue = np.zeros(structure.n_residues, dtype=np.int64)

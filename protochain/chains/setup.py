@@ -20,7 +20,7 @@ ALL_MODELS = "all"
 OF_ENERGY = (
     "forcefield", "solvent", "engine", "device", "cutoff", "accuracy", "threads", "trust_forcefield", "terms",
 )  # fmt: skip
-"""Settings that :func:`protochain.energy` takes."""
+"""Settings that are arguments of :func:`protochain.energy`."""
 
 
 class Prepared(NamedTuple):
@@ -41,11 +41,10 @@ class Setup(Settings):
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
     rebuild_side_chains : str
-        Residues whose side chains are built anew, all at once, from the backbone alone: ``all``, or a
-        selection.
+        Residues whose side chains are rebuilt together from the backbone alone: ``all``, or a selection.
     sequence : str
-        Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains; side chains of
-        residues that become others are built.
+        Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains. Side chains of
+        mutated residues are built.
 
     Raises
     ------
@@ -206,7 +205,7 @@ class Setup(Settings):
         return tuple(source for name, source in self.ligands if not name)
 
     def save_ligands(self, result: Any, path: Path) -> None:
-        """Write the poses that were added, first; without one, or with ``keep="all"``, all ligands."""
+        """Write the added poses first. Without poses, or with ``keep="all"``, write all ligands."""
         from protochain.structure.ligand_files import save_ligands
 
         save_ligands(result, path, self.poses, others="all" in self.keep)
@@ -218,11 +217,11 @@ class Setup(Settings):
 
         Parameters
         ----------
-        source : path-like, Structure, or anything that :func:`protochain.as_structure` takes
-            Structure to prepare; a Structure stays as it is. Hinges and energy are those of the setup, also
-            for a result, which has its own.
+        source : path-like, Structure, or any argument of :func:`protochain.as_structure`
+            Structure to prepare. A Structure stays unchanged. The setup determines hinges and energy, also
+            for a result, which has others.
         name : str
-            Short name, where there is no file.
+            Short name, if there is no file.
         build_energy : callable, optional
             Called in place of :func:`protochain.energy`, with the same arguments.
 
@@ -240,22 +239,22 @@ class Setup(Settings):
         return Prepared(structure, self.chain(structure), self.energy(structure, build_energy))
 
     def load(self, source: Any, name: str = "structure") -> "Structure":
-        """Prepare the structure alone; arguments as in :meth:`prepare`."""
+        """Prepare the structure alone, with arguments as in :meth:`prepare`."""
         from protochain.structure import as_structure
 
         if isinstance(self.model, str):
             raise refused("model", self.model, "one structure is prepared at a time; give its number")
-        made = as_structure(
+        structure = as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,
             chains=self.chains, ligands=self.ligands, ligand_charges=self.ligand_charges,
             standard_residues=self.standard_residues,
         )  # fmt: skip
         if not (self.rebuild_side_chains or self.sequence):
-            return made
+            return structure
         from protochain.structure.substitute import rebuilt
 
-        return rebuilt(made, self.rebuild_side_chains, self.sequence, **self.of_building)
+        return rebuilt(structure, self.rebuild_side_chains, self.sequence, **self.of_building)
 
     @property
     def of_building(self) -> dict[str, Any]:
@@ -269,20 +268,20 @@ class Setup(Settings):
         return build_chain(structure, self.hinges, self.root, move=self.move)
 
     def energy(self, structure: "Structure", build_energy: "Callable[..., Energy] | None" = None) -> "Energy":
-        """Build the energy of a structure; ``build_energy`` as in :meth:`prepare`."""
+        """Build the energy of a structure, with ``build_energy`` as in :meth:`prepare`."""
         from protochain.energies import energy
 
         return (build_energy or energy)(structure, **{name: getattr(self, name) for name in OF_ENERGY})
 
-    def energy_of(self, source: Any, structure: "Structure", named: Iterable[str]) -> "Energy":
-        """Energy that a result brings, in which the named settings are replaced; else that of the setup."""
+    def energy_of(self, source: Any, structure: "Structure", names: Iterable[str]) -> "Energy":
+        """Energy of a result in which the named settings are replaced, otherwise the energy of the setup."""
         from protochain.energies import as_energy
 
-        return as_energy(None, structure, source, **{n: getattr(self, n) for n in OF_ENERGY if n in named})
+        return as_energy(None, structure, source, **{n: getattr(self, n) for n in OF_ENERGY if n in names})
 
 
 def models_asked(model: int | str) -> tuple[int, ...]:
-    """Return the numbers of the models asked for by number or as ``1-5,8``, in that order and once each."""
+    """Return the requested models, given as a number or as ``1-5,8``, in that order and once each."""
     numbers: dict[int, None] = {}
     for part in str(model).split(","):
         first, _, last = part.partition("-")
@@ -290,15 +289,15 @@ def models_asked(model: int | str) -> tuple[int, ...]:
     return tuple(numbers)
 
 
-def _model(given: int | str | None, name: str) -> int | str | None:
-    if given is None or given in ("", ALL_MODELS):
-        return given or None
-    asked = "".join((given if isinstance(given, str) else str(checks.integer(given, name))).split())
-    parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in asked.split(",")]
+def _model(value: int | str | None, name: str) -> int | str | None:
+    if value is None or value in ("", ALL_MODELS):
+        return value or None
+    compact = "".join((value if isinstance(value, str) else str(checks.integer(value, name))).split())
+    parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in compact.split(",")]
     ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
-        raise refused(name, f"{given!r}", "give its number, or all, or a range such as 1-5")
-    return int(asked) if asked.isdigit() else asked
+        raise refused(name, f"{value!r}", "give its number, or all, or a range such as 1-5")
+    return int(compact) if compact.isdigit() else compact
 
 
 _MOST_MODELS = 100_000

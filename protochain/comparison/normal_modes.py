@@ -21,7 +21,7 @@ from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobpcg
 
-from protochain.chains.articulate import transferred, with_energy, with_free_root
+from protochain.chains.articulate import transfer_coordinates, with_energy, with_free_root
 from protochain.chains.chain import Chain, Pose, mass_matrix, pose
 from protochain.chains.frame import frame_of
 from protochain.comparison.hessian import Torques, torques_at
@@ -239,7 +239,7 @@ def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
 def _free_root(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
     """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
     free_chain = with_free_root(chain)
-    return free_chain, transferred(chain, free_chain, q)
+    return free_chain, transfer_coordinates(chain, free_chain, q)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.chains.articulate import transferred, with_energy, with_free_root
+from protochain.chains.articulate import transfer_coordinates, with_energy, with_free_root
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.frame import Frame, frame_of
 from protochain.chains.restraint_list import Restraints
@@ -221,7 +221,7 @@ def _prepare(
     given = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
-    start = transferred(chain, made, given)
+    start = transfer_coordinates(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
     if closure is not None:
         closure = replace(closure, length=_measured(constants, "loop_lengths", closure.length))

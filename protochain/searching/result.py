@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.chains.articulate import build_chain, transferred
+from protochain.chains.articulate import build_chain, transfer_coordinates
 from protochain.chains.chain import log_det_mass, pose
 from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
@@ -180,7 +180,7 @@ class Search(Value):
         chain, temperature = self.chain, self.settings.temperatures[0]
         free = build_chain(chain, root="free")
         second = hessian(chain, self.energy_function, q)
-        mass = log_det_mass(free, pose(free, transferred(chain, free, q)))
+        mass = log_det_mass(free, pose(free, transfer_coordinates(chain, free, q)))
         return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)
 
     @cached_property
