@@ -95,9 +95,13 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)
-    energies = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
+    start, end = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
     table_of_two(
-        [(row[0], *map(energy_text, row[1:], energies)) if row[0] == ENERGY else row for row in rows]
+        [
+            (name, energy_text(before, start), energy_text(after, end)) if name == ENERGY else row
+            for row in rows
+            for name, before, after in [row]
+        ]
     )
     rounds = record["n_rounds"]
     rmsd = record["ca_rmsd_angstrom"]

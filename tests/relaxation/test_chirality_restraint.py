@@ -119,10 +119,7 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     (tmp_path / "two.pdb").write_text(text)
     two = pc.load(tmp_path / "two.pdb")
     assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
-    assert (
-        two.describe(int(ChiralityRestraint.of(two).wrong(two.positions)[0]))
-        == "atom CA of A:DAL7"
-    )
+    assert two.describe(int(ChiralityRestraint.of(two).wrong(two.positions)[0])) == "atom CA of A:DAL7"
     r = pc.relax(two, threads=1)
     (turned,) = r.stereocentres_corrected
     assert (turned.kind, turned.facts["atoms"]) == (Kind.HAND_TURNED, ("CA",))

@@ -136,9 +136,7 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
 
 def test_minimise_names_a_bond_that_turned(bent):
     s = load("1l2y.pdb")
-    assert isomerised_bonds(s, bent.positions, s.positions)[0].startswith(
-        "before A:SER13 (omega "
-    )
+    assert isomerised_bonds(s, bent.positions, s.positions)[0].startswith("before A:SER13 (omega ")
     assert not isomerised_bonds(bent, s.positions, bent.positions)  # It had no form that it could lose.
     status, message = verdict(Stop.TOLERANCE, True, "as measured", s, bent.positions, 5)
     assert status is pc.Status.ISOMERISED and message.startswith(
