@@ -67,7 +67,7 @@ def heavy_rows(component: str, molecule: Molecule) -> dict[str, Rows]:
 
 
 def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
-    """That the bonds are known, with orders; stereocentres, and double bonds, with what is about them."""
+    """Rows that state known bonds with orders, stereocentres, and double bonds, with their neighbours."""
     near = neighbours(molecule.bonds, molecule.n_atoms)
     yield _KNOWN, []
     for centre in np.flatnonzero(molecule.handedness).tolist():
