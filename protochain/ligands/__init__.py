@@ -94,7 +94,7 @@ def ligand(
     molecule : str or path-like
         An SDF or MOL2 file with one molecule, or SMILES. RDKit adds hydrogens that lack.
     charges : str or path-like
-        ``nagl``, AM1-BCC charges by OpenFF's graph network [1]_, or, outside its domain, the next,
+        ``nagl`` is AM1-BCC charges by OpenFF's graph network [1]_, outside its domain ``mmff94``. Others are
         ``mmff94`` [2]_, ``gasteiger``, or a file: MOL2 with the same atoms in the same order, or a line with
         name and charge of each atom. They sum to the formal charge. All atoms share the rounding error.
     forcefield : path-like, optional

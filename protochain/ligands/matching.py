@@ -117,7 +117,7 @@ def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
 
 
 def _bonds_of_heavy(molecule: Molecule) -> tuple[Any, Integers]:
-    """Which bonds join heavy atoms, and these by numbers of heavy atoms."""
+    """Bonds between heavy atoms as a mask, and as pairs of numbers of heavy atoms."""
     number = np.cumsum(molecule.elements != 1) - 1
     inside = np.isin(molecule.bonds, molecule.heavy).all(1)
     return inside, number[molecule.bonds[inside]]

@@ -1,7 +1,7 @@
 """Charges close to AM1-BCC by OpenFF NAGL's model openff-gnn-am1bcc-1.0.0, which belongs to Sage 2.3.0.
 
-Six GraphSAGE layers (Hamilton, Ying, Leskovec, arXiv:1706.02216) and a readout of an initial charge, an
-electronegativity and a hardness of each atom, which are equilibrated to the charge of the molecule (Gilson,
+Six GraphSAGE layers (Hamilton, Ying, Leskovec, arXiv:1706.02216) have a readout of an initial charge, an
+electronegativity and a hardness of each atom. These are equilibrated to the molecule's charge (Gilson,
 Gilson, Potter, J. Chem. Inf. Comput. Sci. 43:1982, 2003). The model also has a table of the charges of
 molecules with up to three heavy atoms, and a domain outside which it was not trained. See NOTICE.
 """

@@ -1,7 +1,7 @@
 """Chemistry of a small molecule as tables of mmCIF, from which :mod:`protochain.ligands.sources` reads it.
 
-Beside the PDB's own tables of atoms and bonds, one of stereo names neighbours in their order: R and S are
-for readers, as programs differ in the finer rules of these letters.
+A table of stereo, next to the PDB's tables of atoms and bonds, names neighbours in their order. R and S are
+for readers, because programs differ in the finer rules of these letters.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence

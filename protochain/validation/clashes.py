@@ -79,7 +79,7 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     hydrogens are at the centres of their electron clouds, nearer to their atoms than their nuclei, with the
     radii for these. Pairs up to three bonds apart, four if one is a hydrogen, are excepted. So are hydrogen
     bonds: a hydrogen at N, O or S with an O, S, free N or aromatic ring, unless 0.4 angstrom too near for
-    one. As in Probe, a contact counts for its pair of deepest overlap, and not within an atom bonded to either.
+    one. As in Probe, a contact counts for its pair of deepest overlap, unless in an atom bonded to either.
 
     Differences: Probe covers all atoms with dots, but this function only the contacts. MolProbity places
     hydrogens anew, and may turn amides and histidines, before it counts. Contacts within fixed molecules

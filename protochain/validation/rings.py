@@ -57,8 +57,8 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     they can be threaded in nature, as in cystine knots. A ring of up to seven atoms is spanned by triangles
     from its centre, a larger one by the triangles of least total area.
 
-    Every bond is compared, to hydrogens too, except bonds that begin at the ring, bonds between residues of
-    a ring of several residues, and bonds within fixed molecules if the ring is fixed too.
+    Every bond is compared, to hydrogens too. Exceptions are bonds that begin at the ring, bonds between
+    residues of a ring of several residues, and bonds within fixed molecules if the ring is fixed too.
 
     Parameters
     ----------

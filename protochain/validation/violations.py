@@ -2,7 +2,7 @@
 
 Jumper et al., Nature 596:583 (2021), supplement 1.9.11, equations 44 to 46: ``find_structural_violations``
 with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts. AlphaFold
-measures no bond to hydrogen: all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
+skips bonds to hydrogen. Here all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
 """
 
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Violations(Value):
         Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
     covalent : (n, 2) int
         Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen shorter by a
-        third): of all elements but metals, and of all molecules that move.
+        third). All elements except metals count, in all molecules that move.
     per_residue : (nr,) bool
         Residues with an atom among these, for a wrong bond or angle both residues.
     """
