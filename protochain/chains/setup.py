@@ -221,7 +221,7 @@ class Setup(Settings):
             Structure to prepare. A Structure stays unchanged. The setup determines hinges and energy, also
             for a result, which has others.
         name : str
-            Short name, if there is no file.
+            Short name, for a source without a file.
         build_energy : callable, optional
             Called in place of :func:`protochain.energy`, with the same arguments.
 

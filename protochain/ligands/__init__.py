@@ -20,7 +20,7 @@ __all__ = ["Ligand", "ligand"]
 
 @dataclass(frozen=True, eq=False)
 class Ligand(Value):
-    """A small molecule with its parameters; see :func:`protochain.ligand`.
+    """A small molecule with its parameters, see :func:`protochain.ligand`.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Ligand(Value):
     charged : tuple of Charged
         Atoms whose formal charge the pH changed.
     outside : tuple of str
-        Atoms outside the domain of NAGL's model; if there are any, MMFF94's charges take the place of its.
+        Atoms outside the domain of NAGL's model. If there are any, MMFF94's charges replace the model's.
     unsure : tuple of str
         Atoms whose charge at the pH is uncertain: no rule covers them, and their class of sites is wide.
     """
@@ -52,7 +52,7 @@ class Ligand(Value):
         Parameters
         ----------
         x : (na, 3) float, nm, optional
-            Positions in the order of the molecule's atoms; those of the file by default.
+            Positions in the order of the molecule's atoms, by default from the file.
 
         Returns
         -------
@@ -63,7 +63,7 @@ class Ligand(Value):
         Raises
         ------
         ProtochainError
-            If there are no positions, or of another shape.
+            If positions are missing or have another shape.
         """
         at = self.molecule.positions if x is None else x
         if at is None:
@@ -94,12 +94,12 @@ def ligand(
     molecule : str or path-like
         An SDF or MOL2 file with one molecule, or SMILES. RDKit adds hydrogens that lack.
     charges : str or path-like
-        ``nagl``, AM1-BCC charges by OpenFF's graph network [1]_, or, outside its domain, the next;
-        ``mmff94`` [2]_; ``gasteiger``; or a file: MOL2 with the same atoms in the same order, or a line with
-        name and charge of each atom. They sum to the formal charge; what rounding leaves is spread over all.
+        ``nagl`` is AM1-BCC charges by OpenFF's graph network [1]_, outside its domain ``mmff94``. Others are
+        ``mmff94`` [2]_, ``gasteiger``, or a file: MOL2 with the same atoms in the same order, or a line with
+        name and charge of each atom. They sum to the formal charge. All atoms share the rounding error.
     forcefield : path-like, optional
-        An .offxml file [3]_. Sage without constraints [4]_ comes with the package:
-        ``openff_unconstrained-2.3.0.offxml``, the default, was fitted with ``nagl``;
+        An .offxml file [3]_. Sage without constraints [4]_ comes with the package.
+        ``openff_unconstrained-2.3.0.offxml``, the default, was fitted with ``nagl``.
         ``openff_unconstrained-2.2.1.offxml`` is the default with ``mmff94`` and ``gasteiger``.
     ph : float, optional
         Acids and bases get the charges that are most populated at this pH. By default they are as given.
@@ -114,8 +114,8 @@ def ligand(
     StructureError
         If the molecule cannot be read.
     ForceFieldError
-        If the force field cannot be read or has no parameters for an atom, which is named, as metals and
-        boron in Sage; or if charges do not fit.
+        If the force field cannot be read or lacks parameters for an atom, for example metals and boron in
+        Sage, or if charges do not fit. The message names the atom.
 
     References
     ----------
@@ -141,7 +141,7 @@ def parametrised(
     forcefield: str | Path | None = None,
     charged: tuple[Charged, ...] = (),
 ) -> Ligand:
-    """Give a molecule its parameters; arguments as for :func:`ligand`."""
+    """Give a molecule its parameters, with the arguments of :func:`ligand`."""
     by_rule = charges in CHARGE_RULES
     outside = nagl.outside(molecule) if charges == "nagl" else ()
     found = (

@@ -66,7 +66,7 @@ def _of_mol2(lines: list[str]) -> list[list[str]]:
 
 
 def _summed(molecule: Molecule, charges: Floats, source: str) -> Floats:
-    """Charges whose sum is the formal charge: what rounding leaves is spread over all atoms."""
+    """Charges whose sum is the formal charge. The rounding error is spread over all atoms."""
     off = molecule.charge - float(charges.sum())
     if not abs(off) <= _ROUNDING:
         raise ForceFieldError(

@@ -1,7 +1,7 @@
 """One component of the Chemical Component Dictionary that biotite carries.
 
-Its own call decodes all 49,000 of them, in seconds, and keeps 800 MB; here only the rows of one are made
-texts and coordinates (BinaryCIF: Sehnal et al., PLoS Comput. Biol. 16:e1008247, 2020).
+Biotite decodes all 49,000 components, in seconds, and uses 800 MB. This module decodes only the rows of one
+component (BinaryCIF: Sehnal et al., PLoS Comput. Biol. 16:e1008247, 2020).
 """
 
 import warnings
@@ -26,7 +26,7 @@ _COLUMNS = {
 
 
 def leaving(name: str) -> frozenset[str]:
-    """Atoms of a component that leave where it is bonded to others; none if there is no such component."""
+    """Atoms of a component that leave when it is bonded to others, none for an unknown component."""
     atoms = _found(name)
     if atoms is None or "leaving" not in atoms.get_annotation_categories():
         return frozenset()
@@ -34,25 +34,25 @@ def leaving(name: str) -> frozenset[str]:
 
 
 def heavy_atoms(name: str) -> frozenset[str]:
-    """Names of the heavy atoms of a component; none if there is no such component."""
+    """Names of the heavy atoms of a component, none for an unknown component."""
     atoms = _found(name)
     return frozenset() if atoms is None else frozenset(atoms.atom_name[atoms.element != "H"].tolist())
 
 
 def elements(name: str) -> dict[str, str]:
-    """Elements of the atoms of a component by their names; empty if there is no such component."""
+    """Elements of the atoms of a component by their names, empty for an unknown component."""
     atoms = _found(name)
     return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), atoms.element.tolist(), strict=True))
 
 
 def charges(name: str) -> dict[str, int]:
-    """Formal charges of the atoms of a component by name; none if there is no such component."""
+    """Formal charges of the atoms of a component by name, none for an unknown component."""
     atoms = _found(name)
     return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), map(int, atoms.charge), strict=True))
 
 
 def component(name: str) -> Any:
-    """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave."""
+    """Atoms and bonds of a component, as biotite's ``residue`` returns them, with atoms that may leave."""
     if (atoms := _found(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.
         raise KeyError(name)
     return atoms
@@ -103,7 +103,7 @@ def _rows_of(name: str, data: Any, decoder: Any) -> Any:
 
 
 def _values(column: Any, rows: Any, decoder: Any) -> tuple[Any, Any]:
-    """Values of a column, and what marks those that are missing, if some are."""
+    """Values of a column, and the mask of missing values, if there are any."""
     data, mask = column["data"], column["mask"]
     if data["encoding"][0]["kind"] == "StringArray":
         which, texts = _texts(data, decoder)

@@ -32,7 +32,7 @@ class Parameters(Value):
     scale_coulomb: float
 
     def pairs(self) -> tuple[Integers, Floats, Floats]:
-        """Pairs (m, 2) that are not left out, and the factors (m,) of their two energies."""
+        """Interacting pairs (m, 2), and the factors (m,) of their two energies."""
         n = len(self.charge)
         near = neighbours(self.bonds.atoms, n)
         close = np.eye(n, dtype=bool)
@@ -55,7 +55,7 @@ def terms(parameters: Parameters, x: Floats) -> dict[str, float]:
 
 
 class Function:
-    """Energies by term, without Coulomb's, and their gradient, with what does not depend on positions."""
+    """Energies by term, without Coulomb's, and their gradient, with arrays that positions do not change."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.of = parameters

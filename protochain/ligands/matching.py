@@ -1,4 +1,4 @@
-"""Atoms of a model matched to those of a molecule whose chemistry is known, by their graph."""
+"""Atoms of a model matched by graph to a molecule of known chemistry."""
 
 from collections import Counter
 from contextlib import suppress
@@ -21,21 +21,21 @@ _MOST_MATCHES = 1000
 _REACH = 1.3
 """Of the sum of covalent radii: bonds of distorted models count. Only which atoms are joined follows."""
 _SHORTER = {1.0: 1.0, 1.5: 0.92, 2.0: 0.87, 3.0: 0.78}
-"""Length of a bond by its order, of the sum of covalent radii: those of 74 ligands of the archive, to 0.1
-angstrom RMS in each."""
+"""Length of a bond by its order, as a share of the sum of covalent radii. 74 ligands of the archive have
+these to 0.1 angstrom RMS in each."""
 _ALIKE = 0.02
 """Angstrom RMS: matches whose lengths fit as well as the best but for this are distinguished by stereo."""
 _WORST = 0.25
-"""Angstrom RMS between lengths of bonds; crystal ligands have up to 0.1."""
+"""Angstrom RMS between lengths of bonds. Crystal ligands have up to 0.1."""
 _OTHER_RING = 0.09
-"""Angstrom: bonds of benzene are 0.13 shorter than those of cyclohexane."""
+"""Angstrom: bonds of benzene are 0.13 shorter than bonds of cyclohexane."""
 _FLAT = 0.1
-"""Volume of three unit vectors; 0.77 in a tetrahedron."""
+"""Volume of three unit vectors, 0.77 in a tetrahedron."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed(Value):
-    """A molecule where a model has it."""
+    """A molecule at its place in a model."""
 
     # With the chemistry of its source, and names and positions of the model; new places of hydrogens.
     molecule: Molecule
@@ -53,7 +53,7 @@ def placed(
     *,
     by_name: bool = False,
 ) -> Placed:
-    """Put a molecule where a model's elements (nm,) are at x (nm, 3), nm, by the bonds that these show."""
+    """Put a molecule on a model's elements (nm,) at x (nm, 3), nm, by the bonds that these show."""
     # Of several matches, that whose hydrogens and lengths of bonds fit best; then that with fewest inverted.
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
@@ -117,7 +117,7 @@ def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
 
 
 def _bonds_of_heavy(molecule: Molecule) -> tuple[Any, Integers]:
-    """Which bonds join heavy atoms, and these by numbers of heavy atoms."""
+    """Bonds between heavy atoms as a mask, and as pairs of numbers of heavy atoms."""
     number = np.cumsum(molecule.elements != 1) - 1
     inside = np.isin(molecule.bonds, molecule.heavy).all(1)
     return inside, number[molecule.bonds[inside]]
@@ -227,7 +227,7 @@ def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
     """Return the atoms of each stereocentre and double bond that is not as in the source: heavy (n, 3) nm.
 
-    Atoms at NaN, as those of caps, are not there.
+    Atoms at NaN, as of caps, are ignored.
     """
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy

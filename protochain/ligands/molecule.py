@@ -18,7 +18,7 @@ _MOST_ATOMS = 2000
 
 
 def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
-    """Call RDKit without its log, which goes to the terminal; what it raises is kept."""
+    """Call RDKit without its log, which goes to the terminal. Its exceptions are not caught."""
     with library("rdkit.rdBase").BlockLogs():
         return call(*args, **named)
 
@@ -89,7 +89,7 @@ def in_mdl_aromaticity(molecule: Molecule) -> Any:
 def assembled(
     names: Sequence[str], elements: Any, charges: Any, bonds: Any, orders: Any, positions: Floats | None
 ) -> Any:
-    """Return RDKit's molecule, not sanitised; orders 1, 2, 3, or 12 as of aromatic bonds; positions nm."""
+    """Return RDKit's molecule, not sanitised, with orders 1, 2, 3, or 12 (aromatic), and positions in nm."""
     chem = library("rdkit.Chem")
     made = chem.RWMol()
     for name, element, charge in zip(names, elements, charges, strict=True):
@@ -176,7 +176,7 @@ def _draw_thiophosphates(made: Any) -> None:
 
 
 def _acid(atom: Any) -> bool:
-    """Whether two oxygens end at this atom: which of them has the proton of an acid makes no stereocentre."""
+    """Whether two oxygens end at this atom. The place of an acid's proton makes no stereocentre."""
     ends = [near for near in atom.GetNeighbors() if near.GetAtomicNum() == 8]
     return sum(all(o.GetAtomicNum() in (1, atom.GetAtomicNum()) for o in e.GetNeighbors()) for e in ends) > 1
 
@@ -196,7 +196,7 @@ def _double_bonds(made: Any, names: tuple[str, ...]) -> tuple[list[list[int]], l
 
 
 def _names(made: Any) -> tuple[str, ...]:
-    """Names that the atoms have, if they are unique; made of element and number for the others."""
+    """Names of the atoms, if they are unique. Other names are made of element and number."""
     given = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in made.GetAtoms()]
     often = Counter(given)
     used = {name for name in given if name and often[name] == 1}

@@ -1,7 +1,7 @@
-"""Charges like those of AM1-BCC by OpenFF NAGL's model openff-gnn-am1bcc-1.0.0, which belongs to Sage 2.3.0.
+"""Charges close to AM1-BCC by OpenFF NAGL's model openff-gnn-am1bcc-1.0.0, which belongs to Sage 2.3.0.
 
-Six GraphSAGE layers (Hamilton, Ying, Leskovec, arXiv:1706.02216) and a readout of an initial charge, an
-electronegativity and a hardness of each atom, which are equilibrated to the charge of the molecule (Gilson,
+Six GraphSAGE layers (Hamilton, Ying, Leskovec, arXiv:1706.02216) have a readout of an initial charge, an
+electronegativity and a hardness of each atom. These are equilibrated to the molecule's charge (Gilson,
 Gilson, Potter, J. Chem. Inf. Comput. Sci. 43:1982, 2003). The model also has a table of the charges of
 molecules with up to three heavy atoms, and a domain outside which it was not trained. See NOTICE.
 """
@@ -70,8 +70,8 @@ _KINDS = {
     (7, 1, (1, 1, 2)): (False, 5), (7, 0, (1, 1, 1)): (True, 0), (7, 0, (1, 2)): (False, 0),
     (7, -1, (1, 1)): (True, 5), (7, 0, (3,)): (False, 0), (7, -1, (2,)): (True, 5),
 }  # fmt: skip
-"""Whether an atom gives an electron pair to a resonance form, or takes one, and its energy (Gilson et al.),
-by element, charge and orders of its bonds; after that it has the other of the two energies."""
+"""Whether an atom gives an electron pair to a resonance form, or accepts one, and its energy (Gilson et al.),
+by element, charge and orders of its bonds. Afterwards it has the other of the two energies."""
 _PAIR = 5
 """Sum of the two."""
 
@@ -80,7 +80,7 @@ Form = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 def charges(molecule: Molecule) -> Floats:
-    """Return the charges (na,), e, of the table, or as predicted, whatever the order of the atoms."""
+    """Return the charges (na,), e, of the table, or as predicted, independent of the order of the atoms."""
     made = in_mdl_aromaticity(molecule)
     found = _tabulated(molecule, made)
     return np.round(_predicted(molecule, _features(made)) if found is None else found, _DECIMALS)
@@ -101,7 +101,7 @@ def outside(molecule: Molecule) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _weights() -> dict[str, Floats]:
-    """Arrays of the model; in double precision, so that what is rounded depends on no order of sums."""
+    """Arrays of the model in double precision, so that rounded results do not depend on the order of sums."""
     with np.load(_MODEL) as stored:
         return {name: stored[name].astype(float) for name in stored}
 
@@ -136,7 +136,7 @@ def _predicted(molecule: Molecule, features: Floats) -> Floats:
 
 
 def _tabulated(molecule: Molecule, made: Any) -> Floats | None:
-    """Charges of the table, those of atoms alike averaged; none of a molecule that it has not."""
+    """Charges of the table, averaged over equivalent atoms. None for a molecule that it lacks."""
     if len(molecule.heavy) > _LARGEST_TABULATED:
         return None
     chem = library("rdkit.Chem")
@@ -227,7 +227,7 @@ def _lowest(form: Form, group: list[Any]) -> list[Form]:
 
 
 def _steps(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
-    """Forms one or two moves away that are no higher, with what they cost."""
+    """Forms one or two moves away that are not higher, with their costs."""
     for cost, to in _moves(form, group, 2 * _PAIR):
         if cost <= 0:
             yield cost, to

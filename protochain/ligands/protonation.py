@@ -230,9 +230,9 @@ _HAMMETT = {"O": (9.92, 2.23), "S": (6.61, 1.5)}
 """pKa without substituents, and its change by sigma: of phenols (Perrin 1981), and the line through
 thiophenol and 4-nitrothiophenol of [12]."""
 _UNSURE = 0.4
-"""Deviations of a class of dimorphite-dl; in units of pH about one for its widest classes."""
+"""Deviations of a class of dimorphite-dl, in units of pH about one for its widest classes."""
 _AT_METAL = "[$([CH]#N),$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
-"""Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, keeps its own."""
+"""Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, retains its proton."""
 _KNOWN = Path(__file__).with_name("net_charges.csv")
 _KNOWN_AT = 7.0
 _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
@@ -242,7 +242,7 @@ _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
 def at_ph(
     molecule: Molecule, ph: float, donors: Collection[str] = ()
 ) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule as it is at a pH, and what was changed: Hydrogens that stay are where they were.
+    """Return a molecule as it is at a pH, and the changes. The other hydrogens do not move.
 
     The donors of a metal of the molecule do not change.
     """
@@ -280,7 +280,7 @@ def unsure(molecule: Molecule, ph: float) -> tuple[str, ...]:
 
 
 def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule without the protons that metals displace, and what changed; azoles keep theirs."""
+    """Return a molecule without the protons that metals displace, and the changes. Azoles retain theirs."""
     if not holding:
         return molecule, ()
     state, rank = _numbered(molecule)
@@ -347,11 +347,11 @@ def _in_state(molecule: Molecule, state: Any) -> tuple[Molecule, tuple[Charged, 
 def net_charges() -> Mapping[str, int]:
     """Net charges at pH 7 that the literature gives, by the skeleton of the molecule.
 
-    Its sources: ChEBI, major species at pH 7.3 (Hastings et al., Nucleic Acids Res. 44:D1214, 2016), whose
-    dUTP(3-) and lysine(0) are not taken; MetaCyc, at pH 7.3 (Caspi et al., Nucleic Acids Res. 48:D445, 2020);
-    ``groups``, by the pKa of theirs as of acids and phosphates elsewhere in the table; and from pKa, Dawson,
-    Elliott, Elliott, Jones, Data for Biochemical Research (1986); Goldberg, Kishore, Lennen, J. Phys. Chem.
-    Ref. Data 31:231 (2002); Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3 has 10; Perrin
+    Sources: ChEBI, major species at pH 7.3 (Hastings et al., Nucleic Acids Res. 44:D1214, 2016), except its
+    dUTP(3-) and lysine(0). MetaCyc, at pH 7.3 (Caspi et al., Nucleic Acids Res. 48:D445, 2020). ``groups``:
+    by the pKa of their groups, as of acids and phosphates elsewhere in the table. From pKa: Dawson,
+    Elliott, Elliott, Jones, Data for Biochemical Research (1986). Goldberg, Kishore, Lennen, J. Phys. Chem.
+    Ref. Data 31:231 (2002). Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3 has 10. Perrin
     (1965, 1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
     """
     with _KNOWN.open() as lines:
@@ -364,7 +364,7 @@ def skeleton(molecule: Molecule) -> str:
 
 
 def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | None:
-    """Return a molecule with these numbers of hydrogens, each a charge; None unless carbons keep theirs."""
+    """Return a molecule with these numbers of hydrogens, each a charge. None if carbons gain or lose any."""
     # Others gain or lose one, all alike: of a tautomer bonds would change.
     chem = library("rdkit.Chem")
     made = to_rdkit(molecule)
@@ -399,7 +399,7 @@ def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | N
 
 
 def _shift(smiles: str, charge: int, rank: list[int]) -> float:
-    """Smallest shift of the pH that gives a molecule its charge at pH 7; none if no shift does."""
+    """Smallest shift of the pH that gives a molecule its charge at pH 7, 0 if no shift does."""
     for shift in _SHIFTS:
         state = _state(smiles, _KNOWN_AT + shift, rank)
         if state is not None and sum(atom.GetFormalCharge() for atom in state.GetAtoms()) == charge:
@@ -408,7 +408,7 @@ def _shift(smiles: str, charge: int, rank: list[int]) -> float:
 
 
 def _state(smiles: str, ph: float, rank: list[int]) -> Any:
-    """RDKit's molecule in its most populated state, isotopes as in the SMILES; None if there is none."""
+    """RDKit's molecule in its most populated state, isotopes as in the SMILES. None without a state."""
     state = next(iter(_states(smiles, ph, 0.0)), None)
     if state is None:
         return None
@@ -490,7 +490,7 @@ def _apply(state: Any, smarts: str, gain: int, rank: list[int], among: Collectio
 
 
 def _draw_enolate(state: Any, site: Any) -> None:
-    """Draw a carbanion beside a carbonyl group as the enolate, which parameters and charges mean."""
+    """Draw a carbanion next to a carbonyl group as the enolate, as parameters and charges expect."""
     orders = library("rdkit.Chem").BondType
     ends = (m for m in _matches(state, "[C-]-[CX3]=[O,S]") if m[0] == site.GetIdx())
     if (match := next(ends, None)) is None:
@@ -503,7 +503,7 @@ def _draw_enolate(state: Any, site: Any) -> None:
 
 
 def _drawing(atom: Any) -> int:
-    """Neighbours of an atom's neighbours that are no saturated carbons."""
+    """Number of neighbours of an atom's neighbours, without saturated carbons."""
     sp3 = library("rdkit.Chem").HybridizationType.SP3
     far = (each for near in atom.GetNeighbors() for each in near.GetNeighbors())
     return sum(each.GetAtomicNum() != 6 or each.GetHybridization() != sp3 for each in far)
@@ -515,12 +515,12 @@ def _change(atom: Any, gain: int) -> None:
 
 
 def _number(atom: Any) -> int:
-    """Number of the atom in the molecule, which its isotope tells."""
+    """Number of the atom in the molecule, from its isotope."""
     return int(atom.GetIsotope()) - 1
 
 
 def _states(smiles: str, ph: float, precision: float) -> list[Any]:
-    """RDKit's molecule of each state; sites whose pKa is within so many standard deviations have two."""
+    """RDKit's molecule of each state. Sites whose pKa is within so many standard deviations have two."""
     return [library("rdkit.Chem").MolFromSmiles(each) for each in _drawn(smiles, ph, precision)]
 
 

@@ -1,7 +1,7 @@
 """Force fields of the Open Force Field Initiative (.offxml): read, and given to a molecule.
 
-The last rule whose pattern fits wins (Mobley et al., J. Chem. Theory Comput. 14:6076, 2018). Files may come
-from strangers: they are plain XML of bounded size, and quantities are taken apart by a pattern.
+The last rule whose pattern fits wins (Mobley et al., J. Chem. Theory Comput. 14:6076, 2018). Files may be
+untrusted: they are plain XML of bounded size, and a pattern parses quantities.
 """
 
 import math
@@ -141,7 +141,7 @@ class _Typing:
         self.near = neighbours(molecule.bonds, molecule.n_atoms)
 
     def of(self, section: str, key: Callable[[Atoms], Atoms], wanted: Iterable[Atoms]) -> dict[Atoms, Rule]:
-        """The last rule that fits, by atoms; all wanted atoms have one."""
+        """The last rule that fits, by atoms. All wanted atoms have one."""
         rules = self.force_field.rules.get(section, ())
         found = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
         for atoms in wanted:
@@ -205,7 +205,7 @@ class _Typing:
 
 
 def _one_way(atoms: Atoms) -> Atoms:
-    """Atoms in that of both directions whose first is less."""
+    """Atoms in the direction with the smaller first atom."""
     return atoms if atoms[0] < atoms[-1] else atoms[::-1]
 
 
@@ -248,7 +248,7 @@ _FORMS = {
 
 
 def _require(path: Path, node: ElementTree.Element, **wanted: str) -> None:
-    """Refuse a section that means something else than what is computed; absent attributes are as usual."""
+    """Refuse a section with another meaning than the computed one. Absent attributes have usual values."""
     for name, value in wanted.items():
         given = node.get(name, value)
         if given != value and not (name.startswith("scale") and _number(given) == float(value)):

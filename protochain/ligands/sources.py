@@ -1,6 +1,6 @@
-"""Where the chemistry of a small molecule comes from: what the user gives, a file's bonds, the dictionary.
+"""Sources of the chemistry of a small molecule: the user, a file's bonds, the dictionary.
 
-Never from distances: orders of bonds, charges and hydrogens do not follow from coordinates.
+Distances are not used: orders of bonds, charges and hydrogens do not follow from coordinates.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,12 +24,12 @@ from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly
 from protochain.ligands.tables import CATEGORY, of_header, stereo
 
 _LARGEST = 10_000_000
-"""Bytes. Of a molecule; a model with its ligand is larger."""
+"""Bytes of a molecule. A model with its ligand is larger."""
 _MOL2 = "@<TRIPOS>MOLECULE"
 _LISTED = ", ".join(MOLECULE_SUFFIXES)
 _AROMATIC = 12
 _ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": _AROMATIC, "delo": _AROMATIC}
-"""Of mmCIF's bond tables, by the first four letters; the last as RDKit numbers them."""
+"""Of mmCIF's bond tables, by the first four letters. Aromatic bonds have RDKit's number."""
 
 
 def of_residue(
@@ -73,7 +73,7 @@ def _heavy_bonds(molecule: Molecule) -> set[frozenset[str]]:
 
 
 def read(given: str | Path) -> Molecule:
-    """Read what a user gives: path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES."""
+    """Read a user's molecule: path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES."""
     path, record = file_and_record(given)
     if isinstance(given, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
         return _from_file(path, record)
@@ -88,7 +88,7 @@ def read(given: str | Path) -> Molecule:
 
 @lru_cache(maxsize=64)
 def from_dictionary(name: str) -> Molecule:
-    """Return a molecule of the Chemical Component Dictionary, which biotite carries; without its metals."""
+    """Return a molecule of the Chemical Component Dictionary, which biotite carries, without its metals."""
     try:
         atoms = component(_DRAWN_AS.get(name, name))
     except KeyError:
@@ -143,7 +143,7 @@ _FARTHEST = 1e5
 
 
 def as_filed(source: str) -> tuple[Molecule, str, str] | None:
-    """Return the molecule of a file, the title, and the text of the fields of SDF; None without a file."""
+    """Return the molecule of a file, the title, and the text of the fields of SDF. None without a file."""
     path, number = file_and_record(source)
     if path.suffix.lower() not in MOLECULE_SUFFIXES or not path.exists():
         return None
@@ -188,7 +188,7 @@ def _from_file(path: Path, number: int) -> Molecule:
 
 
 def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
-    """Chemistry by ``_chem_comp_bond`` and ``_chem_comp_atom``, and whether the file says its charges."""
+    """Chemistry by ``_chem_comp_bond`` and ``_chem_comp_atom``, and whether the file has charges."""
     import gemmi
 
     if "_chem_comp_bond." not in header:
@@ -259,7 +259,7 @@ def _without_metals(
     pairs: list[Any],
     orders: list[int],
 ) -> tuple[list[int], tuple[list[str], list[int], list[int], list[list[int]], list[int]]]:
-    """Atoms that stay, and an organic molecule without metals: donors take the electrons of their bonds."""
+    """Atoms that stay, and an organic molecule without metals: donors get the electrons of their bonds."""
     import gemmi
 
     metal = [gemmi.Element(z).is_metal for z in elements]
@@ -293,8 +293,8 @@ _REDRAWN: dict[str, dict[frozenset[str], int]] = {
     **{name: {frozenset(("N7", "C8")): 2} for name in _CATIONS},
 }
 """Other orders of bonds. Heme c is drawn without its thioethers and with ethylidene groups, which charge all
-nitrogens of its ring. The chemistry is that of heme b with ethyl for vinyl groups: a cysteine takes the place
-of a hydrogen."""
+nitrogens of its ring. The chemistry equals heme b with ethyl for vinyl groups: a cysteine replaces a
+hydrogen."""
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

@@ -1,9 +1,9 @@
-"""Strain of a small molecule: its energy in a pose above that of the minimum nearest to the pose.
+"""Strain of a small molecule: its energy in a pose above the energy of the nearest minimum.
 
-Energies are bonds, angles, torsions and Lennard-Jones of the molecule alone. Its own Coulomb energy is left
-out: in vacuum it would fold charged groups onto one another, which they do not do in a pocket or in water.
-Hydrogens, whose places a model seldom knows, are first put where the energy is lowest with the other atoms in
-place. What is left is the same however they were added.
+Energies are bonds, angles, torsions and Lennard-Jones of the molecule alone. Its Coulomb energy is not
+included: in vacuum it would fold charged groups onto one another, unlike in a pocket or in water. Models
+seldom have reliable hydrogens. These are first put at the lowest energy with the other atoms in place. The
+strain does not depend on their original places.
 """
 
 import numpy as np
@@ -18,11 +18,11 @@ _MOST = 20000
 _TOLERANCE = 1e-3
 """kJ/mol/nm of the largest gradient component. The energy is then within 1e-8 kJ/mol of the minimum."""
 _UNIT = 0.01
-"""nm. The first step of L-BFGS-B has a norm of one, and atoms that move by 1 nm leave the molecule."""
+"""nm. The first step of L-BFGS-B has a norm of one, and atoms that move by 1 nm are out of the molecule."""
 
 
 def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
-    """Strain of a molecule at x (na, 3), kJ/mol; NaN where the energy is not finite, as at one place."""
+    """Strain of a molecule at x (na, 3), kJ/mol. NaN if it is not finite, as for atoms at one place."""
     every = np.ones(len(x), dtype=bool)
     placed = nearest_minimum(parameters, x, np.asarray(elements) == 1)
     free = nearest_minimum(parameters, placed, every)
@@ -32,7 +32,7 @@ def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
 
 
 def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]) -> Floats:
-    """Return the positions of the minimum to which L-BFGS goes, where some atoms (na,) bool may move."""
+    """Return the positions of the minimum to which L-BFGS goes, if some atoms (na,) bool may move."""
     if not moving.any():
         return x
     function = Function(parameters)

@@ -1,7 +1,7 @@
 """Chemistry of a small molecule as tables of mmCIF, from which :mod:`protochain.ligands.sources` reads it.
 
-Beside the PDB's own tables of atoms and bonds, one of stereo names neighbours in their order: R and S are
-for readers, as programs differ in the finer rules of these letters.
+A table of stereo, next to the PDB's tables of atoms and bonds, names neighbours in their order. R and S are
+for readers, because programs differ in the finer rules of these letters.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -67,7 +67,7 @@ def heavy_rows(component: str, molecule: Molecule) -> dict[str, Rows]:
 
 
 def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
-    """That the bonds are known, with orders; stereocentres, and double bonds, with what is about them."""
+    """Rows that state known bonds with orders, stereocentres, and double bonds, with their neighbours."""
     near = neighbours(molecule.bonds, molecule.n_atoms)
     yield _KNOWN, []
     for centre in np.flatnonzero(molecule.handedness).tolist():

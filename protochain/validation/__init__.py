@@ -1,4 +1,4 @@
-"""What is wrong with a structure: violations, clashes, threaded rings, strain, statistical outliers."""
+"""Faults of a structure: violations, clashes, threaded rings, strain, statistical outliers."""
 
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES

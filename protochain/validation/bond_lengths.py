@@ -20,7 +20,7 @@ WINDOW = 0.03
 0.024 farther away (OpenMM's Modeller), bonds of DNA in crystals are off by up to 0.011."""
 _LONG, _SHORT = 0.045, 0.65
 """Limits of bonds to hydrogen and of bonds that the force field does not have: nm beyond the reference of
-fixed molecules, a little more than the reader's limit of a bond; share of the reference that is too short.
+fixed molecules, slightly above the reader's limit, and the smallest share of the reference.
 By convention hydrogens of files are nearer: C-H 0.93 angstrom for 1.09 (X-ray), S-H 0.96 for 1.34 (NMR)."""
 _FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
 

@@ -20,7 +20,7 @@ _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 
 
 def hydrogen_bonds(structure: Structure) -> Integers:
-    """(n, 3) int: donor, hydrogen, acceptor; the one definition behind all counts, changes and scores."""
+    """(n, 3) int: donor, hydrogen, acceptor. All counts, changes and scores use this definition."""
     # That of mdtraj.baker_hubbard, after Baker, Hubbard, Prog. Biophys. Mol. Biol. 44:97 (1984): the hydrogen
     # of an N or O within 2.5 angstrom of another N or O, at an angle above 120 degrees, and no waters.
     x, element = structure.positions, structure.atom_element
@@ -53,7 +53,7 @@ def salt_bridges(structure: Structure) -> set[tuple[int, int]]:
 
 
 def secondary_structure(structure: Structure) -> NDArray[np.str_]:
-    """(nr,) helix, strand or loop by mdtraj's DSSP (Kabsch, Sander 1983); empty for what is no amino acid."""
+    """(nr,) helix, strand or loop by mdtraj's DSSP (Kabsch, Sander 1983), empty for other residues."""
     import mdtraj
 
     codes = mdtraj.compute_dssp(to_mdtraj(structure))[0]

@@ -1,4 +1,4 @@
-"""Deviation of C-beta from where the backbone says it should be."""
+"""Deviation of C-beta from its ideal place, which follows from the backbone."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ _IDEAL = {
     "VAL": (1.540, 109.1, 123.4, 111.5, -122.0),
     "": (1.530, 110.1, 122.8, 110.5, -122.6),
 }
-"""CA-CB in angstrom; in degrees C-CA-CB and the dihedral N-C-CA-CB, N-CA-CB and the dihedral C-N-CA-CB."""
+"""CA-CB in angstrom, and in degrees C-CA-CB with the dihedral N-C-CA-CB, N-CA-CB with C-N-CA-CB."""
 _CLASS = {"ALA": "ALA", "PRO": "PRO", "VAL": "VAL", "THR": "VAL", "ILE": "VAL"}
 
 
@@ -37,7 +37,7 @@ class Deviations(NamedTuple):
 
 
 def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviations:
-    """Measure each C-beta's distance from its ideal place, at x (na, 3) or its own; D are mirrored."""
+    """Measure each C-beta's distance from its ideal place, at x (na, 3) or its own. D are mirrored."""
     # Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev: the mean of two places,
     # built with ideal bond, angle and dihedral from either side of the backbone.
     amino = layout(structure)

@@ -25,15 +25,15 @@ _RADIUS = {
     "SR": 1.10, "BA": 1.29, "MN": 0.80, "FE": 0.74, "CO": 0.70, "NI": 0.66, "CU": 0.72, "ZN": 0.71,
     "CD": 0.91, "HG": 1.00,
 }  # fmt: skip
-"""Angstrom; those of Probe, ions by Pauling."""
+"""Angstrom, as in Probe, with Pauling's radii of ions."""
 _RADIUS_UNKNOWN = 1.00
 _DOTS = 24
 """On each side of a contact."""
 _RIM = 0.85
 """Share of the area of a contact that they cover: Probe has seldom a dot at its very rim."""
 _PORTION, _NEAREST = 2000, 8
-"""Pairs looked at together, and atoms looked at first around a dot: they bound memory and time where atoms
-crowd."""
+"""Pairs per batch, and atoms compared first around a dot: they bound memory and time if atoms are
+crowded."""
 _POLAR_OR_AROMATIC_H, _CARBONYL, _AROMATIC = 1.05, 1.65, 1.75
 
 _LENGTH = {"C": 0.97, "N": 0.86, "O": 0.84, "S": 1.20}
@@ -76,22 +76,21 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     """Find the clashes that MolProbity counts: overlaps of 0.4 angstrom or more between atoms not bonded.
 
     As in MolProbity (Word et al., J. Mol. Biol. 285:1711, 1999; Williams et al., Protein Sci. 27:293, 2018)
-    hydrogens are taken at the centres of their electron clouds, that is, nearer to their atoms than their
-    nuclei, with the radii for these; pairs up to three bonds apart, four if one is a hydrogen, and hydrogen
-    bonds are excepted: a hydrogen at N, O or S with an O, S, free N or aromatic ring, unless nearer by 0.4
-    angstrom than a hydrogen bond may be. As Probe does, a contact is given to the pair whose overlap is
-    deepest there, and is none within an atom bonded to either.
+    hydrogens are at the centres of their electron clouds, nearer to their atoms than their nuclei, with the
+    radii for these. Pairs up to three bonds apart, four if one is a hydrogen, are excepted. So are hydrogen
+    bonds: a hydrogen at N, O or S with an O, S, free N or aromatic ring, unless 0.4 angstrom too near for
+    one. As in Probe, a contact counts for its pair of deepest overlap, unless in an atom bonded to either.
 
-    What differs: Probe covers all atoms with dots, here only contacts have some. MolProbity places
-    hydrogens anew, and may turn amides and histidines, before it counts. Contacts within molecules held
-    fixed outside the protein are not counted here.
+    Differences: Probe covers all atoms with dots, but this function only the contacts. MolProbity places
+    hydrogens anew, and may turn amides and histidines, before it counts. Contacts within fixed molecules
+    outside the protein are not counted here.
 
     Parameters
     ----------
     structure : Structure
         Structure to measure.
     x : (na, 3) float, nm, optional
-        Positions to measure; by default the structure's own.
+        Positions to measure, by default the structure's own.
 
     Returns
     -------
@@ -123,7 +122,7 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
 
 @dataclass(frozen=True, eq=False)
 class _Kinds:
-    """Radii; which atoms give or take hydrogen bonds; charges; hydrogens, their parents and how far off."""
+    """Radii, donors and acceptors of hydrogen bonds, charges, hydrogens, their parents and bond lengths."""
 
     radius: Floats
     donor: NDArray[np.bool_]
@@ -199,7 +198,7 @@ def _at_clouds(structure: Structure, x: Floats) -> Floats:
 
 
 def _allowance(kinds: _Kinds, pairs: Integers) -> Floats:
-    """Overlaps (n,) that hydrogen bonds may have beside, 0 for other pairs, angstrom."""
+    """Additional overlaps (n,) allowed for hydrogen bonds, 0 for other pairs, angstrom."""
     i, j = pairs.T
     bonded = (kinds.donor[i] & kinds.acceptor[j]) | (kinds.acceptor[i] & kinds.donor[j])
     product = kinds.charge[i] * kinds.charge[j]
@@ -264,7 +263,7 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
 
 
 def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) -> Floats:
-    """Dots (n, m, 3) on spheres about a (n, 3), in spheres about b by at least a depth (n,); radii (n, 2)."""
+    """Dots (n, m, 3) on spheres about a (n, 3), in spheres about b by at least a depth (n,), radii (n, 2)."""
     arm = b - a
     apart = np.maximum(np.linalg.norm(arm, axis=1), 1e-6)
     axis = arm / apart[:, None]

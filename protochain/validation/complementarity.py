@@ -1,8 +1,8 @@
 """Shape complementarity of two sides of an interface: Sc of Lawrence and Colman.
 
-J. Mol. Biol. 234:946 (1993). Of each dot of the surface of one side that the other buries, and of the nearest
-on the other, S = -n.n' exp(-w d^2); Sc is the mean of the medians of either side, weighted by the areas of
-the dots. Dots within a band of the periphery, where surfaces part, do not count.
+J. Mol. Biol. 234:946 (1993). Each dot of one surface that the other side buries, with the nearest dot on the
+other, has S = -n.n' exp(-w d^2). Sc is the mean of the medians of either side, weighted by the areas of
+the dots. Dots within a band at the periphery of the contact do not count.
 """
 
 import numpy as np
@@ -21,11 +21,11 @@ _RADIUS = {
     "C": (1.80, 1.85, 1.90, 1.95), "N": (1.65, 1.65, 1.70, 1.75), "O": (1.60, 1.70, 1.70), "S": (1.90,),
     "P": (1.80,),
 }  # fmt: skip
-"""angstrom, of atoms with 0, 1, 2 ... hydrogens: those of CCP4's program sc by Lawrence, told there by names
-of atoms of residues, here by their hydrogens, so that ligands and nucleotides have them too."""
+"""angstrom, of atoms with 0, 1, 2 ... hydrogens: radii of CCP4's program sc by Lawrence. It selects them by
+names of atoms, this module by numbers of hydrogens, so that ligands and nucleotides have them too."""
 _AROMATIC_CH, _OTHERS = 1.90, 1.90
 _BEYOND = 2.0 * BAND
-"""angstrom around what may be buried, so that its periphery is known."""
+"""angstrom around atoms that may be buried, so that their periphery is known."""
 
 
 def united_radii(structure: Structure) -> Floats:
@@ -51,14 +51,14 @@ def shape_complementarity(structure: Structure, x: Floats, one: Integers, other:
 
 
 def complementarity(one: Dots, other: Dots) -> float:
-    """Sc of what two sides bury of each other; NaN if a side has no dot."""
+    """Sc of the buried surfaces of two sides. NaN if a side has no dot."""
     if not len(one) or not len(other):
         return float("nan")
     return float(np.mean([_median(one, other), _median(other, one)]))
 
 
 def _buried(x: Floats, radius: Floats, other: Floats, other_radius: Floats) -> Dots:
-    """Dots of a side that the other hides from the probe, but those of the periphery."""
+    """Dots of a side that the other hides from the probe, without the periphery."""
     tree, reach = cKDTree(other), other_radius + PROBE
     near = tree.query(x)[0] < (radius + PROBE + _BEYOND + reach.max(initial=0.0))
     dots = molecular_surface(x, radius, PROBE, DENSITY, near)

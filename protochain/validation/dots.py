@@ -1,8 +1,8 @@
-"""Connolly's molecular surface in dots: where a rolling probe touches atoms, and where it rests between them.
+"""Connolly's molecular surface in dots, from a probe that rolls over atoms and rests between them.
 
 Connolly, Science 221:709 (1983). Convex parts lie on atoms, saddles on the probe as it rolls along two of
-them, concave parts on the probe at rest on three. Which arcs of a circle of two atoms the probe may take
-follows from its neighbours in closed form; the ends of the arcs are where it rests.
+them, concave parts on the probe at rest on three. The neighbours of two atoms limit the arcs of
+the probe around them, which follow in closed form. The probe rests at the ends of the arcs.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Dots(Value):
 def molecular_surface(
     x: Floats, radius: Floats, probe: float, density: float, wanted: NDArray[np.bool_] | None = None
 ) -> Dots:
-    """Cover the molecular surface of x (n, 3), angstrom, where wanted (n,), with dots (1/angstrom^2)."""
+    """Cover the molecular surface of the wanted (n,) among x (n, 3), angstrom, with dots (1/angstrom^2)."""
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
     if not len(of):
         none = np.zeros((0, 3))
@@ -58,7 +58,7 @@ def molecular_surface(
 
 
 def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, near: Integers) -> Dots:
-    """Dots on atom i where the probe is in no neighbour's way."""
+    """Dots on atom i at which the probe meets no neighbour."""
     area = 4.0 * np.pi * radius[i] ** 2
     way = sphere(max(int(np.ceil(area * density)), 1))
     share, reach = area / len(way), radius[i] + probe
@@ -73,7 +73,7 @@ def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, nea
 def _rolled(
     x: Floats, reach: Floats, probe: float, density: float, of: Integers, neighbours: list[Integers]
 ) -> tuple[Dots, Floats, Integers]:
-    """Saddles, the places (n, 3) where the probe rests on three atoms, and which (n, 3) these are."""
+    """Saddles, the places (n, 3) of the probe at rest on three atoms, and these atoms (n, 3)."""
     counts = np.array([len(its) for its in neighbours], dtype=np.int64)
     start = np.concatenate([[0], np.cumsum(counts)])
     flat = np.concatenate([np.empty(0, dtype=np.int64), *neighbours])
@@ -180,7 +180,7 @@ def _saddles(
     arcs: _Arcs, centre: Floats, axis: Floats, one: Floats, other: Floats, h: Floats, along: Floats,
     apart: Floats, probe: float, density: float,
 ) -> Dots:  # fmt: skip
-    """Dots where the probe rolls along two atoms, n arcs of centres about an axis at distance h (n,)."""
+    """Dots of the probe as it rolls along two atoms, n arcs of centres about an axis at distance h (n,)."""
     low, high = -np.arctan2(along, h), np.arctan2(apart - along, h)
     across = np.maximum(np.ceil(probe * (high - low) * np.sqrt(density)).astype(np.int64), 1)
     arc, m = _numbered(across)

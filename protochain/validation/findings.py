@@ -1,4 +1,4 @@
-"""What is found wrong with a structure at some positions: measured when asked for, counted and listed."""
+"""Faults of a structure at some positions. They are measured on first use, counted and listed."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ def _measured(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]
 
 @dataclass(frozen=True, eq=False)
 class Found(Value):
-    """What is found wrong with a structure at some positions."""
+    """Faults of a structure at some positions."""
 
     structure: Structure
     x: Floats  # (na, 3) nm.
@@ -68,11 +68,11 @@ class Found(Value):
 
     @cached_property
     def ligands(self) -> tuple[LigandFound, ...]:
-        """What is found of each ligand, but PoseBusters' tests."""
+        """Findings of each ligand, without PoseBusters' tests."""
         return ligand_findings(self.structure, self.x, self.clashes)
 
     def measures(self) -> dict[str, Any]:
-        """Values of all ``MEASURES``; None where nothing can be measured."""
+        """Values of all ``MEASURES``, None for those without anything to measure."""
         values = {key: measure.value(self) for key, measure in MEASURES.items()}
         return {key: value if np.isfinite(value) else None for key, value in values.items()}
 
@@ -81,7 +81,7 @@ class Found(Value):
         return {key: remaining.places(self) for key, remaining in REMAINS.items()}
 
     def table(self) -> "pd.DataFrame":
-        """Return a row for each residue of the protein; see :attr:`Validation.residues`."""
+        """Return a row for each residue of the protein, see :attr:`Validation.residues`."""
         import pandas as pd
 
         s = self.structure
@@ -99,13 +99,13 @@ class Found(Value):
         return np.bincount(residues[first], minlength=self.structure.n_residues)
 
     def spread(self, residue: Integers, values: Any) -> Any:
-        """(nr,): values of some residues; empty text or NaN for the others."""
+        """(nr,): values of some residues, empty text or NaN for the others."""
         of_all = np.full(self.structure.n_residues, np.nan if values.dtype.kind == "f" else "", object)
         of_all[residue] = values
         return of_all.astype(float) if values.dtype.kind == "f" else of_all
 
     def listing(self) -> Iterator[tuple[int, str]]:
-        """Residues and what is wrong with each, in words, by kind of finding."""
+        """Residues and their faults, in words, by kind of finding."""
         s, of = self.structure, self.structure.atom_residue
         kinds = {"bond": self.violations.bonds, "angle": self.violations.angles_ca_c_n,
                  "clash": self.violations.clashes, "distance": self.violations.within}  # fmt: skip
@@ -295,12 +295,12 @@ _JUDGED = "inverted_stereocentres", "inverted_double_bonds"
 
 @part("measuring")
 def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
-    """Name the places of what a biologist may reject at positions x (na, 3): the keys of ``REMAINS``."""
+    """Name places of faults that a biologist may reject, at positions x (na, 3), by keys of ``REMAINS``."""
     return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
 
 
 def remains_in_words(record: Mapping[str, Any], shown: int = 6) -> list[str]:
-    """Describe what remains in a record beyond its message: a line for each of ``REMAINS`` with places."""
+    """Describe faults in a record beyond its message: a line for each of ``REMAINS`` with places."""
     named = () if record.get("status") == "clash" else _JUDGED
     places = {key: record.get(key) for key in REMAINS if key not in named}
     return [f"{REMAINS[key].what}: {listed(at, shown)} ({len(at)})" for key, at in places.items() if at]

@@ -1,4 +1,4 @@
-"""Faults outside the protein: broken bonds of nucleotides and of what is fixed, and clashes of the latter."""
+"""Faults outside the protein: broken bonds of nucleotides and fixed molecules, and clashes of the latter."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -24,7 +24,7 @@ _BOND_SLACK = 0.3
 
 
 class FixedFaults(NamedTuple):
-    """What is wrong with molecules kept with the protein."""
+    """Faults of the molecules around the protein."""
 
     # (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in pieces,
     # the nearest ones.
@@ -40,7 +40,7 @@ class FixedFaults(NamedTuple):
         return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
 
     def summary(self, structure: Structure, x: Floats) -> str:
-        """How many there are, and the first of them; empty if there are none."""
+        """Number of faults, and the first of them. Empty without any."""
         counts = [
             counted(len(pairs), what)
             for pairs, what in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
@@ -75,7 +75,7 @@ def _still(structure: Structure) -> Integers:
 
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
-    """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own."""
+    """Find broken bonds and clashes of fixed molecules, at positions x (na, 3) or the structure's own."""
     # Bonds of fixed molecules that are no nucleotides are only known by distance: a torn one shows when it
     # leaves the molecule in pieces.
     none = np.empty((0, 2), dtype=np.int64)
@@ -95,7 +95,7 @@ def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
 
 
 def _torn(structure: Structure, x: Floats) -> Integers:
-    """(n, 2) int: nearest atoms of pieces of fixed molecules, but nucleotides and those with a metal."""
+    """(n, 2) int: nearest atoms of pieces of fixed molecules, except nucleotides and metal complexes."""
     of, element = structure.atom_residue, structure.atom_element
     skipped = _of_nucleotides(structure)
     skipped[of[metals(structure)]] = True
@@ -113,7 +113,7 @@ def _torn(structure: Structure, x: Floats) -> Integers:
 
 
 def _clashes(structure: Structure, x: Floats) -> Integers:
-    """Heavy atoms (n, 2), one of each pair fixed, that overlap; no metals, and no two that take turns."""
+    """Overlapping heavy atoms (n, 2), one of each pair fixed, without metals and alternate states."""
     heavy = np.flatnonzero((structure.atom_element != "H") & ~metals(structure))
     radius = radii(structure)
     near = heavy[cKDTree(x[heavy]).query_pairs(2.0 * radius[heavy].max() - _CLASH, output_type="ndarray")]
@@ -128,7 +128,7 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
 
 
 def _between(structure: Structure, x: Floats) -> Integers:
-    """Bonds (n, 2) between fixed residues, as those of a glycan: where one pair alone is so near."""
+    """Bonds (n, 2) between fixed residues, for example of a glycan. Only one pair of atoms may be so near."""
     fixed = np.flatnonzero(structure.obstacle & (structure.atom_element != "H"))
     radius, of = covalent_radii(structure), structure.atom_residue
     farthest = (2.0 * radius[fixed].max() + _BOND_SLACK) / ANGSTROM_PER_NM

@@ -81,7 +81,7 @@ def _opposite(
 
 @of_atoms
 def places(structure: Structure) -> tuple[Integers, Integers]:
-    """Atom in each place of each residue (nr, 14), or -1, and its type (nr,), -1 of caps and kept ones."""
+    """Atom in each place of each residue (nr, 14), or -1, and its type (nr,), -1 of caps and molecules."""
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
     kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)
     kind[structure.atom_residue[structure.kept]] = -1

@@ -98,7 +98,7 @@ MAKEUP: Mapping[str, Score] = MappingProxyType(
         )
     }
 )
-"""Columns of what the sides are made of, in percent."""
+"""Columns of the composition of the sides, in percent."""
 RESIDUES = ("contact_residues_1", "contact_residues_2")
 """Columns of rows: residues of either side in contact."""
 CONFIDENCES: Mapping[str, Score] = MappingProxyType(
@@ -114,23 +114,23 @@ CONFIDENCES: Mapping[str, Score] = MappingProxyType(
 """Columns of predicted models."""
 
 _NEAR = 0.9
-"""nm from the other side within which the area of an atom may change, and that of its neighbours matters."""
+"""nm from the other side within which the area of an atom may change, and its neighbours matter."""
 _PROBE, _POINTS = 0.14, 960
 """nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973)."""
 _ONE_PLACE = 2e-5
-"""nm apart: mdtraj takes 1e-5 for one place."""
+"""nm apart: mdtraj treats atoms within 1e-5 as one place."""
 _HIDDEN = 1.0
-"""angstrom^2 of accessible area, that of its hydrogens included, below which a polar atom is buried."""
+"""angstrom^2 of accessible area, including its hydrogens, below which a polar atom is buried."""
 _HYDROPHOBIC = ("ALA", "CYS", "PHE", "ILE", "LEU", "MET", "PRO", "VAL", "TRP", "TYR")
 """BindCraft's: Pacesa et al., Nature 646:483 (2025)."""
 _APOLAR = ("C", "S", "SE", "F", "CL", "BR", "I")
 _SOLVATED = ("generalised_born", "surface")
 _NONBONDED = ("lennard_jones", "coulomb", *_SOLVATED)
 _DOCKQ, _DOCKQ_REACH = (0.724, 152.611, 0.052, 0.018), 0.8
-"""Of pDockQ: L, x0, k, b; nm between C-betas in contact. Bryant, Pozzati, Elofsson, Nat. Commun. 13:1265
-(2022)."""
+"""Of pDockQ: L, x0, k, b, and nm between C-betas in contact. Bryant, Pozzati, Elofsson, Nat. Commun.
+13:1265 (2022)."""
 _DOCKQ2, _DOCKQ2_ERROR = (1.31, 84.733, 0.075, 0.005), 10.0
-"""Of pDockQ2: L, x0, k, b; angstrom. Zhu, Shenoy, Kundrotas, Elofsson, Bioinformatics 39:btad424 (2023)."""
+"""pDockQ2: L, x0, k, b, and angstrom. Zhu, Shenoy, Kundrotas, Elofsson, Bioinformatics 39:btad424 (2023)."""
 _SAE_ERROR = 10.0
 """Angstrom of predicted error below which ipSAE counts a pair: the default of Dunbrack's program."""
 
@@ -148,9 +148,9 @@ class Interface(Value):
     first, second : str
         The two sides, as given.
     scores : mapping of str to int or float
-        The keys of ``SCORES``, ``MAKEUP`` and ``CONFIDENCES``; None where there is nothing to measure.
+        The keys of ``SCORES``, ``MAKEUP`` and ``CONFIDENCES``, None without anything to measure.
     residues : pandas.DataFrame
-        A row for each residue in contact, or of which area is buried: ``side`` (1 or 2), ``chain``,
+        A row for each residue in contact or with buried area: ``side`` (1 or 2), ``chain``,
         ``residue``, ``name``, its shares of the energy (``energy_kj_mol``, ``interaction_kj_mol``,
         ``desolvation_kj_mol``), ``buried_area_angstrom2``, and how many contacts, hydrogen bonds, salt
         bridges, clashes and unsatisfied polar atoms it has.
@@ -218,29 +218,29 @@ def score_interface(
     energy: Energy | None = None,
     **settings: Any,
 ) -> Interface:
-    """Score the interface of two sides of a complex, which are read as they are, and as rigid.
+    """Score the interface of two rigid sides of a complex, read without changes.
 
     Parameters
     ----------
     source : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Complex; relax it first if it has clashes. Beside the path of a model, what predictors write is read.
+        Complex. Relax it first if it has clashes. Files of predictors next to a model are read too.
     first, second : str
-        Chains of either side, as ``"A"`` or ``"A,B"``, with the molecules that bear their names; or
+        Chains of either side, as ``"A"`` or ``"A,B"``, with the molecules of the same chain names. Or
         selections in the language of MDAnalysis, as ``"resname LIG"``, whose residues the other side's chains
-        do not have. Waters count for neither, and all else is left out.
+        do not have. Waters count for neither side. Other molecules are skipped.
     forcefield, solvent : str, optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
-        In place of one of this force field and solvent; any whose System the native engine can compute. By
-        default that of a result.
+        In place of the energy of this force field and solvent. The native engine must support its System. By
+        default the energy of a result.
     **settings
         Options of :func:`protochain.load`, for a file.
 
     Returns
     -------
     Interface
-        Scores, and a row for each residue. Of sides that do not touch areas and counts are 0, and
-        ``shape_complementarity`` is None; confidences are None of what is no predicted model.
+        Scores, and a row for each residue. If the sides do not touch, areas and counts are 0, and
+        ``shape_complementarity`` is None. Confidences are None unless the complex is a predicted model.
 
     Raises
     ------
@@ -249,9 +249,9 @@ def score_interface(
 
     Notes
     -----
-    Hydrogen bonds are Baker and Hubbard's, areas those of Shrake and Rupley for a probe of 1.4 angstrom and
-    Bondi's radii, both by mdtraj; Sc is that of Lawrence and Colman, J. Mol. Biol. 234:946 (1993); residues
-    are in contact with heavy atoms within 5 angstrom.
+    Hydrogen bonds (Baker, Hubbard) and areas (Shrake, Rupley, with a probe of 1.4 angstrom and Bondi's radii)
+    are by mdtraj. Sc follows Lawrence and Colman, J. Mol. Biol. 234:946 (1993). Residues in contact
+    have heavy atoms within 5 angstrom.
 
     Examples
     --------
@@ -266,7 +266,7 @@ def score_interface(
 
 
 def native(energy: Energy) -> NativeEnergy:
-    """The energy by the native engine, as that alone tells terms."""
+    """The energy by the native engine, which alone returns terms."""
     by_kernels = native_of(energy)
     if by_kernels is None:
         raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")
@@ -318,7 +318,7 @@ class _Scored(NamedTuple):
 
 
 def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Scored:
-    """Energy between the sides, by term, and what desolvation costs."""
+    """Energy between the sides, by term, and the cost of desolvation."""
     between, desolvation = interaction(structure, energy, structure.positions, *parts)
     terms = dict(zip(TERMS, between.sum(axis=1).tolist(), strict=True))
     shares = (between + desolvation).sum(axis=0)
@@ -336,7 +336,7 @@ def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Sco
 
 
 def _buried(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
-    """Areas that the sides lose, and how well they fit; and of atoms (na,) what is left and what is lost."""
+    """Areas that the sides lose, their fit, and the remaining and lost areas of atoms (na,)."""
     of, polar = structure.atom_residue, _polar(structure)
     masks = [part[of] for part in parts]
     together, lost = _areas(structure, *masks)
@@ -371,7 +371,7 @@ def _touching(structure: Structure, touching: Integers) -> _Scored:
 def _makeup(
     structure: Structure, parts: Sides, touching: Integers, found: Mapping[str, Any]
 ) -> dict[str, float | None]:
-    """Columns of ``MAKEUP``; shares of amino acids, None of a side without any."""
+    """Columns of ``MAKEUP``: shares of amino acids, None for a side without any."""
     fold, scores = secondary_structure(structure), dict[str, float | None]()
     for k, part in enumerate(parts):
         near = np.unique(touching[:, k])
@@ -430,7 +430,7 @@ def _within(x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDAr
 
 
 def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """(na,), (na,) float, angstrom^2: accessible areas with both sides there, and what each atom loses."""
+    """(na,), (na,) float, angstrom^2: accessible areas with both sides present, and the loss of each atom."""
     x = structure.positions
     changing = [_within(x, one, other), _within(x, other, one)]
     together, alone = np.zeros(len(x)), np.zeros(len(x))
@@ -488,7 +488,7 @@ def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: In
 def _confidences(
     structure: Structure, parts: Sides, touching: Integers, given: Confidence | None
 ) -> dict[str, float | None]:
-    """Columns of ``CONFIDENCES``; of a model whose header or confidence files say that it is one."""
+    """Columns of ``CONFIDENCES``, for a model identified by its header or confidence files."""
     if given is None and "_ma_" not in structure.header:
         return dict.fromkeys(CONFIDENCES)
     heavy = structure.atom_element != "H"
@@ -517,7 +517,7 @@ def _of_errors(
     pae: Floats | None,
     tokens: Mapping[tuple[str, str], int],
 ) -> dict[str, float | None]:
-    """Columns from the predicted errors; those of amino acids and nucleotides, as others have no frame."""
+    """Columns from the predicted errors of amino acids and nucleotides. Other residues have no frame."""
     numbers = np.char.add(structure.residue_number, structure.residue_insertion_code).tolist()
     keys = zip(structure.residue_chain.tolist(), numbers, strict=True)
     token = np.array([tokens.get(key, -1) for key in keys], dtype=np.int64)
@@ -564,7 +564,7 @@ def _near_betas(structure: Structure, parts: Sides) -> Integers:
 
 
 def _docking(curve: tuple[float, float, float, float], plddt: Floats, near: Integers, factor: float) -> float:
-    """PDockQ or pDockQ2 by its curve; 0 without contacts, as the programs say."""
+    """PDockQ or pDockQ2 by its curve, 0 without contacts, as in the programs."""
     if not len(near):
         return 0.0
     top, middle, slope, base = curve

@@ -1,4 +1,4 @@
-"""Where the atoms of each residue are, which residues a peptide bond joins, and dihedrals of many at once."""
+"""Places of the atoms of each residue, residues joined by peptide bonds, and dihedrals of many at once."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from protochain.structure.molecule.model import Structure, at_positions, of_atom
 from protochain.structure.molecule.residues import BACKBONE
 
 NONE = -1
-"""Index where there is no such atom or residue."""
+"""Index for an atom or residue that does not exist."""
 
 
 class Layout(NamedTuple):
@@ -37,7 +37,7 @@ def positions(structure: Structure, x: Floats | None) -> Floats:
 
 @of_atoms
 def layout(structure: Structure) -> Layout:
-    """Find the amino acids of a structure, their atoms and neighbours; the same for all its positions."""
+    """Find the amino acids of a structure, their atoms and neighbours, the same for all its positions."""
     n, of = structure.n_residues, structure.atom_residue
     backbone = [
         np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE
@@ -69,7 +69,7 @@ def dihedrals(x: Floats, atoms: Integers) -> Floats:
 
 @at_positions
 def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:
-    """phi, psi, and omega of the bond before each residue (nr,), in degrees; NaN where there is none."""
+    """phi, psi, and omega of the bond before each residue (nr,), in degrees, NaN if missing."""
     amino = layout(structure)
     backbone = amino.atoms("N", "CA", "C")
     before, after = backbone[amino.before], backbone[amino.after]

@@ -26,7 +26,7 @@ _MOST_MATCHES = 10_000
 CONTACT = 4.0
 """Angstrom between heavy atoms."""
 _RECEPTOR = 10.0
-"""Angstrom from the ligand; what is farther away is nothing to PoseBusters' tests."""
+"""Angstrom from the ligand. PoseBusters' tests do not need molecules farther away."""
 LIGAND_COLUMNS = (
     "chain", "residue", "name", "source", "strain_kj_mol", "contacts", "clashes", "inverted",
     "posebusters_passed", "posebusters_failed",
@@ -36,26 +36,26 @@ _NOT_TESTS = ("file", "molecule", "position")
 
 @dataclass(frozen=True, eq=False)
 class LigandFound(Value):
-    """What is found of a ligand in its place.
+    """Findings of a ligand in its place.
 
     Parameters
     ----------
     residue : Residue
-        What the file calls it.
+        Residue as the file names it.
     source : str
-        Where its chemistry is from.
+        Source of its chemistry.
     strain_kj_mol : float, optional
-        Energy of its bonds, angles, torsions and Lennard-Jones above that of the nearest minimum, in vacuum,
-        hydrogens put first where it is lowest; None where it is not finite.
+        Energy of its bonds, angles, torsions and Lennard-Jones above the nearest minimum, in vacuum, after
+        hydrogens are put at the lowest energy. None if it is not finite.
     contacts : int
         Its heavy atoms within 4 angstrom of one of the protein.
     clashes : int
         Overlaps with the protein of 0.4 angstrom and more, as of :func:`protochain.validation.clashes`.
     inverted : tuple of str
-        Stereocentres, and double bonds as ``C1=C2``, that are not those of the source.
+        Stereocentres, and double bonds as ``C1=C2``, that differ from the source.
     posebusters : mapping of str to bool, optional
         Whether it passes each test of PoseBusters' configuration ``dock`` (Buttenschoen et al., Chem. Sci.
-        15:3130, 2024) with everything outside it as the receptor; None if they were not run.
+        15:3130, 2024) with everything outside it as the receptor. None if they were not run.
     """
 
     residue: Residue
@@ -72,20 +72,20 @@ class LigandFound(Value):
 
     @property
     def failed(self) -> tuple[str, ...] | None:
-        """PoseBusters' tests that it fails; None if they were not run."""
+        """PoseBusters' tests that it fails, None if they were not run."""
         if self.posebusters is None:
             return None
         return tuple(name for name, passed in self.posebusters.items() if not passed)
 
     def record(self) -> dict[str, Any]:
-        """Flat row: residue, source, and what is found."""
+        """Flat row: residue, source, and findings."""
         return {
             "chain": self.residue.chain, "residue": self.residue.number, "name": self.residue.name,
             "source": self.source, **self.measures(),
         }  # fmt: skip
 
     def measures(self) -> dict[str, Any]:
-        """What is found, without what it is found of."""
+        """Findings, without residue and source."""
         failed = self.failed
         return {
             "strain_kj_mol": self.strain_kj_mol,
@@ -146,7 +146,7 @@ def ligand_motion(start: Structure, x: Floats) -> Floats:
 def sdf_properties(
     structure: Structure, x: Floats, motion: Floats, energy: float, status: str
 ) -> list[dict[str, str]]:
-    """Fields of the SDF record of each ligand at the end of a run; see :func:`protochain.save_ligands`."""
+    """Fields of the SDF record of each ligand at the end of a run, see :func:`protochain.save_ligands`."""
     fields = []
     for ligand, (rmsd, _) in zip(findings_of(structure, x)[0], motion.tolist(), strict=True):
         strain = "" if ligand.strain_kj_mol is None else f"{ligand.strain_kj_mol:.3f}"
@@ -165,7 +165,7 @@ def _heavy(molecule: Any) -> Any:
 
 
 def motion_in_words(motion: Floats) -> str:
-    """Largest values of ``ligand_motion``, to be put after others; empty without ligands."""
+    """Largest values of ``ligand_motion``, to be put after others, empty without ligands."""
     if not len(motion):
         return ""
     return ", ligand RMSD {:.2f} angstrom, farthest atom {:.2f}".format(*motion.max(axis=0))
@@ -178,7 +178,7 @@ def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
 
 @at_positions
 def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
-    """Strain of each ligand in kJ/mol, which takes two minimisations; None where there is none."""
+    """Strain of each ligand in kJ/mol, from two minimisations, None if not available."""
     strains = [
         strain(ligand.ligand.parameters, x[ligand.atoms], ligand.ligand.molecule.elements)
         for ligand in structure.ligands
@@ -193,7 +193,7 @@ def _inverted(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
 
 
 def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
-    """(n, 2) int: double bonds that at x (na, 3), nm, are E for their source's Z, or Z for E."""
+    """(n, 2) int: double bonds at x (na, 3), nm, with the other E/Z than in their source."""
     bonds = [
         molecule.atoms[list(atoms)].tolist()
         for molecule in (*structure.ligands, *structure.fragments)
@@ -210,7 +210,7 @@ def double_bonds_named(structure: Structure, pairs: Integers) -> list[str]:
 
 
 def _posebusters(structure: Structure, bound: BoundLigand, x: Floats) -> dict[str, bool]:
-    """Results by name of the test; one that has none is not passed."""
+    """Results by name of the test. A test without a result is not passed."""
     busters = library("posebusters").PoseBusters(config="dock")
     # It flushes the stream of the call before, which may be closed by now, and would report failed tests.
     library("rdkit").log_handler.stream = sys.stderr
@@ -244,7 +244,7 @@ def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
 def with_posebusters(
     structure: Structure, x: Floats, found: tuple[LigandFound, ...]
 ) -> tuple[tuple[LigandFound, ...], str]:
-    """Add the results of PoseBusters' tests; also return why they were not run, empty if they were."""
+    """Add results of PoseBusters' tests, and return why they were not run, empty if they were."""
     try:
         made = [_posebusters(structure, each, x) for each in structure.ligands]
     except ProtochainError as error:
@@ -255,7 +255,7 @@ def with_posebusters(
 def findings_of(
     structure: Structure, x: Floats, *, posebusters: bool = False
 ) -> tuple[tuple[LigandFound, ...], str]:
-    """Find out about each ligand at positions; also why PoseBusters' tests were not run, though asked for."""
+    """Examine each ligand at positions, and return why requested PoseBusters' tests were not run."""
     if not structure.ligands or not np.isfinite(x).all():
         return (), ""
     findings = ligand_findings(structure, x, clashes(structure, x))
@@ -272,7 +272,7 @@ def at_both_ends(start: LigandFound, end: LigandFound, motion: Floats) -> dict[s
 
 
 def _at(key: str, when: str) -> str:
-    """Name of a column at the start or end; the unit comes last."""
+    """Name of a column at the start or end. The unit comes last."""
     unit = "_kj_mol"
     return f"{key.removesuffix(unit)}_{when}{unit}" if key.endswith(unit) else f"{key}_{when}"
 
@@ -280,4 +280,4 @@ def _at(key: str, when: str) -> str:
 MOTION = ("rmsd_angstrom", "displacement_max_angstrom")
 """Columns of :func:`ligand_motion`."""
 LIGAND_ENDS = (*(_at(key, when) for key in LIGAND_COLUMNS[4:] for when in ("start", "end")), *MOTION)
-"""What :func:`at_both_ends` tells beside residue and source."""
+"""Columns of :func:`at_both_ends`, without residue and source."""

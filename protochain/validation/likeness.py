@@ -20,7 +20,7 @@ from protochain.validation.layout import NONE, layout
 RADIUS = 15.0
 """Angstrom within which distances of the reference count."""
 _TOLERANCES = (0.5, 1.0, 2.0, 4.0)
-"""Angstrom by which a distance may differ to count as kept; the score is the mean over the four."""
+"""Angstrom by which a distance may differ to count as preserved. The score is the mean over the four."""
 _TWINS = {
     "ARG": {"NH1": "NH2"}, "ASP": {"OD1": "OD2"}, "GLU": {"OE1": "OE2"}, "LEU": {"CD1": "CD2"},
     "PHE": {"CD1": "CD2", "CE1": "CE2"}, "TYR": {"CD1": "CD2", "CE1": "CE2"}, "VAL": {"CG1": "CG2"},
@@ -34,7 +34,7 @@ LIKENESS = {
     "heavy_rmsd_to_reference_angstrom": ("heavy", "RMSD of all heavy atoms after superposition, angstrom"),
     "matched_percent": ("matched %", "residues of the reference that were matched, per cent"),
 }
-"""Keys of ``Likeness.measures``, with their headings in tables of a terminal, and what they are."""
+"""Keys of ``Likeness.measures``, with their headings in tables of a terminal, and descriptions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +53,14 @@ class Likeness(Value):
 def likeness(structure: Structure, reference: Structure) -> Likeness:
     """Measure the likeness of a structure to a reference.
 
-    Residues are matched as by :func:`protochain.rmsd`. Atoms that preparation added to either are taken for
-    missing; one that the structure lacks keeps no distance. Names of atoms that are each other's image (in
-    Arg, Asp, Glu, Leu, Phe, Tyr, Val) are exchanged in a residue if more distances agree so.
+    Residues are matched as by :func:`protochain.rmsd`. Atoms that preparation added to either count as
+    missing. Distances of atoms that the structure lacks do not count as preserved. Names of equivalent atoms
+    (in Arg, Asp, Glu, Leu, Phe, Tyr, Val) are exchanged in a residue if more distances agree so.
 
     Parameters
     ----------
     structure, reference : Structure
-        The reference may hold C-alphas only.
+        The reference may have C-alphas only.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
 def _correspondence(
     structure: Structure, reference: Structure, found: Match
 ) -> tuple[Integers, Integers, Integers]:
-    """Heavy atoms of the reference, those of the structure by name (-1: none), and by their twin's name."""
+    """Heavy atoms of the reference, and of the structure by name (-1: none) and by the twin's name."""
     ours, kinds = layout(structure), reference.residue_name[reference.atom_residue]
     # Of a reference of C-alphas nothing has a backbone.
     known = (

@@ -27,9 +27,9 @@ _NAMES = ("C3'-endo", "C4'-exo", "O4'-endo", "C1'-exo", "C2'-endo", "C3'-exo", "
           "C1'-endo", "C2'-exo")  # fmt: skip
 """By tenths of the circle of phases."""
 _LEAST, _MIDDLE, _MOST = 55.0, 110.0, 175.0
-"""Degrees of delta: of sugars, and between those with C3' and those with C2' on the side of C5'."""
+"""Degrees of delta: of sugars, and between sugars with C3' and with C2' on the side of C5'."""
 _PERPENDICULAR = 2.9
-"""Angstrom: from the phosphate after a ribose to the line of its glycosidic bond; with C3'-endo it is more
+"""Angstrom: from the phosphate after a ribose to the line of its glycosidic bond. With C3'-endo it is more
 (Richardson et al., RNA 14:465, 2008)."""
 
 
@@ -106,7 +106,7 @@ def _torsions(
 
 
 def _from_glycosidic_bond(x: Floats, at: dict[int, dict[str, int]], residue: int) -> float:
-    """Angstrom from the phosphate after a ribose to the line of its glycosidic bond; NaN of others."""
+    """Angstrom from the phosphate after a ribose to the line of its glycosidic bond, NaN of others."""
     atoms, after = at[residue], at.get(residue + 1, {})
     base = next((atoms[name] for name in ("N9", "N1") if name in atoms), None)
     if "O2'" not in atoms or base is None or "P" not in after:

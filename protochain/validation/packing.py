@@ -1,8 +1,8 @@
 """Packing of two sides of an interface: the share of the volume between them that their atoms fill.
 
-Of what a probe of 1.4 angstrom cannot reach, within 2.8 angstrom of the atoms of both sides: 1 without
-voids, 0.74 of spheres in a close packing. It asks what Rosetta's packstat does (Sheffler, Baker, Protein Sci.
-18:229, 2009), but by the volumes of Richards (J. Mol. Biol. 82:1, 1974), not by a trained scale.
+The volume is within 2.8 angstrom of both sides, and a probe of 1.4 angstrom cannot reach it. The share is 1
+without voids, and 0.74 in a close packing of spheres. Rosetta's packstat has the same aim (Sheffler, Baker,
+Protein Sci. 18:229, 2009), with a trained scale in place of volumes (Richards, J. Mol. Biol. 82:1, 1974).
 """
 
 import numpy as np
@@ -11,15 +11,15 @@ from scipy.spatial import cKDTree
 from protochain.core.arrays import Floats
 
 PROBE, REACH, GRID = 1.4, 2.8, 0.4
-"""angstrom: water; from either side; between points."""
+"""angstrom: radius of water, distance from either side, distance between points."""
 _STEP = 0.1
 """angstrom between sizes of balls."""
 _FEW = 4
-"""Nearest centres of which one is that of the nearest surface."""
+"""Number of nearest centres. One of them belongs to the nearest surface."""
 
 
 def packing(x: Floats, radius: Floats, other: Floats, its: Floats) -> float:
-    """Packing of spheres of two sides: x, other (n, 3), radius, its (n,), angstrom; NaN if none are near."""
+    """Packing of spheres of two sides: x, other (n, 3), radius, its (n,), angstrom. NaN if none are near."""
     if not len(x) or not len(other):
         return float("nan")
     both, largest = 2.0 * REACH + its.max(), max(radius.max(), its.max())

@@ -20,7 +20,7 @@ FAVOURED = 0.02
 ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
 """Least score of a favoured and, by class, of an allowed residue, as in mmtbx's ramalyze."""
 _CIS = 90.0
-"""Degrees of omega below which a proline counts as cis here, as in ramalyze: there is no third class."""
+"""Degrees of omega below which a proline counts as cis here, as in ramalyze, without a third class."""
 _CELL = 2.0
 """Degrees between the points of the tables, which lie at odd degrees."""
 _TABLES = Path(__file__).parent / "data" / "ramachandran.npz"
@@ -43,7 +43,7 @@ class Ramachandran(NamedTuple):
 
     @property
     def favoured_percent(self) -> float:
-        """Percentage of residues in favoured regions; NaN if there are none at all."""
+        """Percentage of residues in favoured regions, NaN without residues."""
         return 100.0 * float(np.mean(self.region == 2)) if len(self.region) else float("nan")
 
 
@@ -76,7 +76,7 @@ def tables() -> Floats:
 
 
 def _classes(structure: Structure, omega: Floats) -> NDArray[np.int64]:
-    """Class of each residue (nr,): glycine and proline come first, then what precedes a proline."""
+    """Class of each residue (nr,): glycine and proline come first, then residues before a proline."""
     name, after = structure.residue_name, layout(structure).after
     before_proline = (after != NONE) & (name[after] == "PRO")
     cis = np.abs(omega) < _CIS

@@ -1,4 +1,4 @@
-"""Result of a validation: numbers, a row for each residue, and what is wrong in words."""
+"""Result of a validation: numbers, a row for each residue, and faults in words."""
 
 from collections import defaultdict
 from collections.abc import Mapping
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Validation(Value):
-    """What is wrong with a structure, and how like a reference it is.
+    """Faults of a structure, and its likeness to a reference.
 
     Parameters
     ----------
     structure : Structure
-        As prepared; its heavy atoms are where the file has them.
+        As prepared. Its heavy atoms are at their places in the file.
     measures : mapping of str to int or float
-        The keys of ``MEASURES``, with a reference also those of ``LIKENESS``; None where nothing can be
+        The keys of ``MEASURES``, and with a reference of ``LIKENESS``. None if a quantity cannot be
         measured.
     residues : pandas.DataFrame
         A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
@@ -42,13 +42,13 @@ class Validation(Value):
     violations : Violations
         As AlphaFold counts them, and covalent bonds of a wrong length.
     findings : tuple of (int, str)
-        Index of a residue, and what is wrong with it.
+        Index of a residue, and its fault.
     chain_mapping : str, optional
-        Chains of the reference and those that they match, as ``A:B,B:A``; None without a reference.
+        Chains of the reference and their matches, as ``A:B,B:A``. None without a reference.
     ligands : tuple of LigandFound
-        What is found of each ligand of known chemistry.
+        Findings of each ligand of known chemistry.
     posebusters_missing : str
-        Why PoseBusters' tests were not run though asked for; empty if they were.
+        Reason why requested PoseBusters' tests were not run, empty if they were.
 
     Examples
     --------
@@ -102,7 +102,7 @@ class Validation(Value):
 
     @property
     def added(self) -> str:
-        """What preparation added to the file, in words; empty if nothing."""
+        """Additions of preparation to the file, in words, empty without any."""
         heavy = self.residues["atoms_added"]
         noted = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
@@ -112,7 +112,7 @@ class Validation(Value):
         return "; ".join(noted)
 
     def record(self) -> dict[str, Any]:
-        """Flat row: name, model and size, what was added, and the measures."""
+        """Flat row: name, model and size, additions, and the measures."""
         s = self.structure
         return {
             "structure": s.name, "model": s.model_number, "n_chains": s.n_chains,

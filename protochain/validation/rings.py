@@ -14,12 +14,12 @@ from protochain.structure.molecule.model import Structure, at_positions, of_atom
 from protochain.validation.layout import positions
 
 LARGEST = 20
-"""Atoms of the largest ring looked at: none so small lets a chain through. Macrocycles that are threaded in
-nature, as those of lasso peptides are, have more."""
+"""Atoms of the largest ring examined. A chain cannot pass through such a small ring. Macrocycles that are
+threaded in nature, for example lasso peptides, have more."""
 _SMALL = 7
-"""Atoms of the largest ring that is nearly flat; its surface is spanned from its centre."""
+"""Atoms of the largest ring that is nearly flat. Its surface is spanned from its centre."""
 _LONG = 0.25
-"""nm; bonds that are longer are compared with every ring."""
+"""nm. Longer bonds are compared with every ring."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ThreadedRing:
     Parameters
     ----------
     residue : int
-        Residue of the ring; the first one, if several form it.
+        Residue of the ring, the first one if several form it.
     atoms : tuple of int
         Atoms of the ring, in their order around it.
     bond : tuple of int
@@ -52,20 +52,20 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     """Find the rings that a bond goes through.
 
     Covered are rings of at most 20 atoms: those within residues (Phe, Tyr, Trp, His, Pro, and of molecules
-    beside the protein), and the smallest one that holds each bond between side chains, as of a disulfide, or
-    between the ends of a chain. Larger loops, those of most disulfides among them, can be threaded in nature,
-    as in cystine knots, and are not looked at. A ring of up to seven atoms is spanned by triangles from its
-    centre, a larger one by the triangles of least total area.
+    outside the protein). Also covered is the smallest ring through each bond between side chains, as of a
+    disulfide, or between the ends of a chain. Larger loops, as of most disulfides, are not examined, because
+    they can be threaded in nature, as in cystine knots. A ring of up to seven atoms is spanned by triangles
+    from its centre, a larger one by the triangles of least total area.
 
-    Every bond is compared, to hydrogens too, but for those that begin at the ring, those between residues of
-    a ring of several residues, and those within molecules held fixed if the ring is held fixed too.
+    Every bond is compared, to hydrogens too. Exceptions are bonds that begin at the ring, bonds between
+    residues of a ring of several residues, and bonds within fixed molecules if the ring is fixed too.
 
     Parameters
     ----------
     structure : Structure
         Structure to measure.
     x : (na, 3) float, nm, optional
-        Positions to measure; by default the structure's own.
+        Positions to measure, by default the structure's own.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def _cycles(bonds: tuple[tuple[int, int], ...]) -> tuple[tuple[int, ...], ...]:
 
 
 def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
-    """Smallest ring through the bond of i and j; empty if it has more than LARGEST atoms."""
+    """Smallest ring through the bond of i and j, empty if it has more than LARGEST atoms."""
     before, ahead, size = {i: i}, deque([(i, 1)]), 0
     while ahead and j not in before:
         atom, size = ahead.popleft()
@@ -200,7 +200,7 @@ def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
 
 
 def _fan(corners: Floats) -> Floats:
-    """Triangles (n, 3, 3) from near a ring's centre to its sides; at it, round-off would decide."""
+    """Triangles (n, 3, 3) from near a ring's centre to its sides. At the centre, round-off would decide."""
     weights = 1.0 + 0.03 * np.arange(len(corners))
     apex = np.broadcast_to(weights @ corners / weights.sum(), corners.shape)
     return np.stack([apex, corners, np.roll(corners, -1, axis=0)], axis=1)

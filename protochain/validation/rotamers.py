@@ -1,8 +1,8 @@
 """Side chains far from every usual rotamer.
 
-The rotamers are those of the Top8000 set (Hintze, Lewis, Richardson, Richardson, Proteins 84:1177, 2016), and
-what counts is the distance to the nearest. MolProbity takes the density of the same set instead, whose
-contours may not be distributed: on 20 structures this finds 251 of its 319 outliers, and 74 more.
+The rotamers are from the Top8000 set (Hintze, Lewis, Richardson, Richardson, Proteins 84:1177, 2016), and
+the distance to the nearest counts. MolProbity uses the density of the same set. Its contours may not be
+distributed. On 20 structures this module finds 251 of MolProbity's 319 outliers, and 74 more.
 """
 
 import csv
@@ -29,7 +29,7 @@ _WIDE = {
     **dict.fromkeys(("HIS", "TRP"), 95.0), "ASN": 114.0, "GLN": 152.0,
     **dict.fromkeys(("ASP", "GLU", "PHE", "TYR"), 90.0),
 }  # fmt: skip
-"""The same for the last dihedral at a planar group; 90 are all angles of one that is its own image."""
+"""The same for the last dihedral at a planar group. For a symmetric group, 90 covers all angles."""
 
 
 class SideChains(NamedTuple):
@@ -87,7 +87,7 @@ def _library() -> dict[str, list[tuple[str, list[float]]]]:
 
 @of_atoms
 def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Integers]:
-    """Name and residues (n,) of each kind with rotamers; atoms (m, 4) of the dihedrals of all, in order."""
+    """Name and residues (n,) of each kind with rotamers, and atoms (m, 4) of all dihedrals, in order."""
     amino = layout(structure)
     kinds, quadruples = [], [np.zeros((0, 4), dtype=np.int64)]
     for name in sorted(CHI.keys() & set(structure.residue_name[amino.amino].tolist())):

@@ -1,7 +1,7 @@
-"""Stereocentres that are not those of the residues' names, and D-amino acids under names of L.
+"""Stereocentres that differ from the residues' names, and D-amino acids under names of L.
 
-Older files name D-amino acids as L. Residues whose C-alpha is well-formed and whose phi is positive, as
-theirs is, are D-amino acids by their coordinates; in chains that are mirror images all are.
+Older files name D-amino acids as L. Inverted residues with a well-formed C-alpha are D-amino acids
+by their coordinates if phi is positive. In chains that are mirror images all residues are.
 """
 
 from functools import lru_cache
@@ -25,7 +25,7 @@ class Expected(NamedTuple):
 
 @lru_cache(maxsize=2)
 def expected_stereocentres(structure: Structure) -> Expected:
-    """Find the stereocentres that names of residues or sources say; D under names of L stay."""
+    """Find the stereocentres expected from names of residues or sources. D under names of L stay."""
     atoms, x = chiral_atoms(structure), structure.positions
     of, size = structure.atom_residue[atoms[:, 0]], volume(x[atoms])
     is_d = structure.mirrored[of]
@@ -40,6 +40,6 @@ def expected_stereocentres(structure: Structure) -> Expected:
 
 
 def inverted_stereocentres(structure: Structure, x: Floats) -> Integers:
-    """(n,) int: stereocentres that at positions x (na, 3), nm, are not as expected of the structure."""
+    """(n,) int: stereocentres whose chirality at positions x (na, 3), nm, differs from the expected."""
     atoms = expected_stereocentres(structure).atoms
     return np.unique(atoms[volume(x[atoms]) < 0.0, 0])

@@ -1,4 +1,4 @@
-"""Strain: bond lengths and angles far from those of the force field."""
+"""Strain: bond lengths and angles far from the values of the force field."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,11 +32,11 @@ class Strain(Value):
     bonds : (n, 2) int
         Atoms of the bonds, the worst first.
     bond_deviations : (n,) float
-        In standard deviations; negative if the bond is too short.
+        In standard deviations, negative if the bond is too short.
     angles : (m, 3) int
         Atoms of the angles, the worst first.
     angle_deviations : (m,) float
-        In standard deviations; negative if the angle is too small.
+        In standard deviations, negative if the angle is too small.
     n_bonds, n_angles : int
         Numbers of bonds and angles compared.
     """
@@ -72,19 +72,19 @@ class Strain(Value):
 def strain(structure: Structure, x: Floats | None = None) -> Strain:
     """Find bonds and angles of the protein more than four standard deviations from the force field's values.
 
-    Equilibrium values and force constants k are those of Amber ff14SB (Maier et al., J. Chem. Theory Comput.
-    11:3696, 2015), whatever field a run has. The standard deviation is that of a free bond or angle at 300 K,
-    sqrt(RT/k): 0.03 angstrom and 3 to 4 degrees for most; an outlier holds more than 8 RT, 20 kJ/mol. The
-    deviations among small-molecule crystals, in which MolProbity counts, are about two thirds as large.
-    Hydrogens are left out, whose bonds are shorter in many files by convention, as are molecules beside the
-    protein.
+    Equilibrium values and force constants k are from Amber ff14SB (Maier et al., J. Chem. Theory Comput.
+    11:3696, 2015), for any force field of a run. The standard deviation applies to a free bond or angle at
+    300 K, sqrt(RT/k): 0.03 angstrom and 3 to 4 degrees for most. An outlier has more than 8 RT, 20 kJ/mol.
+    The deviations of small-molecule crystals, MolProbity's unit, are about two thirds as large. Hydrogens,
+    whose bonds are shorter in many files by convention, and molecules outside the protein are not
+    examined.
 
     Parameters
     ----------
     structure : Structure
         Structure to measure.
     x : (na, 3) float, nm, optional
-        Positions to measure; by default the structure's own.
+        Positions to measure, by default the structure's own.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
 
 
 def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
-    """Values and thermal widths (n, 2) of bonds (n, 2) or angles (n, 3) by force-field files; else NaN."""
+    """Values and thermal widths (n, 2) of bonds (n, 2) or angles (n, 3) by force-field files, else NaN."""
     names, kind = _kinds(structure)
     table = _parameters(*files)[atoms.shape[1] - 2]
     # Few kinds of terms, many terms.
@@ -144,13 +144,13 @@ def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
 
 @of_atoms
 def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
-    """Atom types of the structure, and that of each atom by its place among them (na,)."""
+    """Atom types of the structure, and the type of each atom by its place among them (na,)."""
     names, kind = np.unique(_types(structure), return_inverse=True)
     return names, kind
 
 
 def _types(structure: Structure) -> list[str]:
-    """Atom types of the force field; empty where it has none."""
+    """Atom types of the force field, empty if it has none."""
     nucleotide = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
     names = np.where(structure.kept & ~nucleotide, "", structure.atom_name)
     first = np.searchsorted(structure.atom_residue, np.arange(1, structure.n_residues))

@@ -17,7 +17,7 @@ from protochain.validation.result import Validation
 
 @part("measuring")
 def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
-    """Measure what is wrong with a structure by itself.
+    """Measure the faults of a structure, without a reference.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     Returns
     -------
     dict of str to int or float
-        The keys of ``MEASURES``; None where nothing can be measured, or positions are not finite.
+        The keys of ``MEASURES``. None if a quantity cannot be measured or positions are not finite.
 
     Raises
     ------
@@ -44,27 +44,27 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
 
 
 def validate(source: Any, reference: Any = None, posebusters: bool = False, **settings: Any) -> Validation:
-    """Find what is wrong with a structure by itself, and how like a reference it is.
+    """Find the faults of a structure, and measure its likeness to a reference.
 
-    Heavy atoms are measured where the file has them. Those that it lacks are added, as by
-    :func:`protochain.load`, and so are hydrogens, which clashes need; both are told.
+    Heavy atoms are measured at their places in the file. Missing heavy atoms and hydrogens, which clashes
+    need, are added as by :func:`protochain.load`. The result reports both.
 
     Parameters
     ----------
     source : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Structure to validate; of a solution, its end.
+        Structure to validate, or a solution, whose end is used.
     reference : the same, optional
-        Structure to compare with; residues are matched as by :func:`protochain.rmsd`. A file may hold only
+        Structure to compare with. Residues are matched as by :func:`protochain.rmsd`. A file may have only
         C-alphas.
     posebusters : bool
-        Whether PoseBusters' tests are run on the ligands. For a large one they take half a minute.
+        Whether PoseBusters' tests are run on the ligands. For a large ligand they need half a minute.
     **settings
         Options of :func:`protochain.load`, for the source.
 
     Returns
     -------
     Validation
-        Numbers, a row for each residue, and what is wrong in words.
+        Numbers, a row for each residue, and faults in words.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 Jumper et al., Nature 596:583 (2021), supplement 1.9.11, equations 44 to 46: ``find_structural_violations``
 with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts. AlphaFold
-measures no bond to hydrogen: all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
+skips bonds to hydrogen. Here all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
 """
 
 from dataclasses import dataclass
@@ -25,23 +25,23 @@ _SIGMAS = 12.0
 _OVERLAP = 1.5
 """Angstrom by which two atoms may overlap."""
 _RADIUS = {"C": 1.7, "N": 1.55, "O": 1.52, "S": 1.8}
-"""Angstrom; AlphaFold's van der Waals radii."""
+"""AlphaFold's van der Waals radii, angstrom."""
 
 _BOND, _BOND_PROLINE = (1.329, 0.014), (1.341, 0.016)
-"""Angstrom: length of C-N and its standard deviation, and where N is a proline's."""
+"""Angstrom: length of C-N and its standard deviation, then for the N of a proline."""
 _CA_C_N = (-0.4473, 0.014)
-"""Cosine and standard deviation. AlphaFold up to 2.3, ColabFold and OpenFold take the deviation of the
-bond for that of this cosine; AlphaFold takes 0.0311 since September 2025. The former, stricter, is kept."""
+"""Cosine and standard deviation. AlphaFold up to 2.3, ColabFold and OpenFold use the deviation of the
+bond here. AlphaFold uses 0.0311 since September 2025. The stricter, earlier value is used."""
 _C_N_CA = (-0.5203, 0.0353)
 _SOFT = 1e-6
-"""Added to squares under a root; AlphaFold's counts include it."""
+"""Added to squares under a root, as in AlphaFold's counts."""
 _CA, _C, _N = 1, 2, 0
 """Places of backbone atoms in a residue."""
 
 
 @dataclass(frozen=True, eq=False)
 class Violations(Value):
-    """Violations of a structure; true if there is one.
+    """Violations of a structure, true if there is one.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ class Violations(Value):
         Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
     covalent : (n, 2) int
         Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen shorter by a
-        third): of all elements but metals, and of all molecules that move.
+        third). All elements except metals count, in all molecules that move.
     per_residue : (nr,) bool
-        Residues with an atom among these; of a wrong bond or angle both residues.
+        Residues with an atom among these, for a wrong bond or angle both residues.
     """
 
     bonds: Integers
@@ -142,20 +142,19 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     AlphaFold's rules are of the heavy atoms of the 20 amino acids, without the second oxygen of a terminus.
     Covalent bonds are measured of all molecules that move, with their hydrogens.
 
-    Residues are neighbours if they are bonded, or follow one another in a chain with consecutive numbers: a
-    chain that was split where its C-N bond is far too long violates that bond.
+    Residues are neighbours if they are bonded, or follow one another in a chain with consecutive numbers. A
+    chain that was split at a C-N bond that is far too long violates this bond.
 
-    AlphaFold goes by the number alone, in a file of several chains too: it compares no two residues of one
-    number, and spares C and N of consecutive numbers in any chains. Here residues are known by what they
-    are, so that all contacts between chains are seen. In a single chain all counts but that of covalent bonds
-    are AlphaFold's.
+    AlphaFold uses the number alone, in a file of several chains too. It compares no two residues of one
+    number, and excludes C and N of consecutive numbers in any chains. This function compares all contacts
+    between chains. In a single chain all counts except the covalent bonds are AlphaFold's.
 
     Parameters
     ----------
     structure : Structure
         Structure to measure.
     x : (na, 3) float, nm, optional
-        Positions to measure; by default the structure's own.
+        Positions to measure, by default the structure's own.
 
     Returns
     -------
@@ -282,7 +281,7 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
 
 
 def _as_number(text: str) -> float:
-    """Residue number; NaN if it is none, which follows nothing."""
+    """Residue number, or NaN for text without one, which follows nothing."""
     try:
         return float(text)
     except ValueError:
