@@ -90,11 +90,11 @@ def tell(kind: Kind, *lines: str) -> None:
 
 def warn(lines: Iterable[str]) -> None:
     """Print warnings that need action, at most five unless all lines are printed."""
-    every = [*lines]
-    shown = every if is_verbose() else every[:_WARNINGS]
+    all_lines = [*lines]
+    shown = all_lines if is_verbose() else all_lines[:_WARNINGS]
     tell(Kind.WARNING, *shown)
-    if len(shown) < len(every):
-        tell(Kind.WARNING, f"and {len(every) - len(shown)} more (--verbose)")
+    if len(shown) < len(all_lines):
+        tell(Kind.WARNING, f"and {len(all_lines) - len(shown)} more (--verbose)")
 
 
 def residues_shown() -> int:

@@ -43,9 +43,10 @@ MAY_IMPORT = {
 each other."""
 MOST_ARROWS = 83
 """Between rooms; with more, nobody keeps the plan in mind."""
-MOST_LINES = 72_837
+MOST_LINES = 73_450
 """Of the package. A capability arrives with something that goes; more takes a reason in the commit. The
-files of restraints, MJCF and armature came with the rejected results; the structure issue pays for them."""
+files of restraints, MJCF and armature came with the rejected results. The bounds of KCM and the kinds of
+terminal lines came later. The structure issue pays for them."""
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
 
 
