@@ -209,7 +209,7 @@ def d_arginine(tmp_path, is_d, alone=False):
 def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     s = pc.load(d_arginine(tmp_path, is_d, alone))
     told = [each for each in s.repairs if each.kind not in (Kind.STAYS_UNKNOWN, Kind.NEAR)]
-    named = [str(each) for each in told if "DAR" in str(each)]
+    named = [str(each) for each in told if ":DAR" in str(each)]
     assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
     wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).wrong(s.positions)]

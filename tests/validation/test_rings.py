@@ -147,7 +147,7 @@ def test_a_disulfide_ring_is_threaded_by_a_bond_that_passes_it():
     centre, normal = x[list(ring)].mean(axis=0), normal_of(x[list(ring)])
     x[bond[0]], x[bond[1]] = centre - 0.8 * normal, centre + 0.8 * normal
     (found,) = [each for each in threaded_rings(s, x) if each.bond == bond and each.atoms == ring]
-    assert "ring of 20 atoms that the bond between atom SG of residue" in str(found)
+    assert "ring of 20 atoms that the bond between atom SG of A:CYS6" in str(found)
     x[bond[1]] = centre - 0.7 * normal
     assert not [each for each in threaded_rings(s, x) if each.bond == bond and each.atoms == ring]
 
