@@ -18,7 +18,7 @@ from fixtures.waiting import HANG
 THRESHOLD = gc.get_threshold()
 
 LONG = {
-    "test_blocks.py", "test_files.py", "test_gear.py", "test_interface.py", "test_kept.py",
+    "test_blocks.py", "test_files.py", "test_gear.py", "test_interface.py", "test_hetero_molecules.py",
     "test_notebooks.py", "test_report.py", "test_schema.py", "test_tree.py",
 }  # fmt: skip
 """Files that take half a minute, many of them with few tests."""

@@ -5,8 +5,8 @@ from protochain.core.errors import StructureError
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.model import Structure
-from protochain.structure.preparation.draft import Draft, Part
 from protochain.structure.preparation.prepare import prepare
+from protochain.structure.preparation.structure_draft import Draft, Part
 
 PROLINE_PHI = -70.0
 """Degrees. Proline's ring holds phi near this value; at the extended -120 the ring would not close."""

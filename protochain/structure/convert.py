@@ -15,8 +15,8 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.formats.files import check, number_atoms, places_in_file
 from protochain.structure.formats.foreign import as_gemmi
 from protochain.structure.molecule.model import Structure
-from protochain.structure.preparation.draft import Draft
 from protochain.structure.preparation.prepare import READING, load, prepare, reading_of, run
+from protochain.structure.preparation.structure_draft import Draft
 
 if TYPE_CHECKING:
     import MDAnalysis

@@ -14,8 +14,8 @@ from protochain.structure.formats.files import number_atoms
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import CAPS, STANDARD, name_in_file
-from protochain.structure.preparation.draft import Draft
 from protochain.structure.preparation.prepare import READING, prepare, reading_of, run
+from protochain.structure.preparation.structure_draft import Draft
 from protochain.structure.select import select
 from protochain.structure.write import as_gemmi
 

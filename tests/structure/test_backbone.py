@@ -6,7 +6,7 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.structure.formats.apart import separate_caps
+from protochain.structure.formats.chain_splitting import separate_caps
 from protochain.structure.molecule.repairs import Kind
 
 LINES = [line for line in (STRUCTURES / "1ubq.pdb").read_text().splitlines() if line[:4] == "ATOM"]

@@ -10,8 +10,8 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.preparation import complete as module
 from protochain.structure.preparation.complete import add_heavy_atoms
-from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.prepare import run
+from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 from protochain.structure.sidechains.sites import Site
 
 

@@ -12,9 +12,9 @@ import protochain as pc
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.model import Tie, at_positions
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.prepare import _bonds, _indices, _refuse_coincident, user_files
 from protochain.structure.preparation.sites import Link
+from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 from protochain.structure.select import select
 from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
 

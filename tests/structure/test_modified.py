@@ -178,9 +178,9 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
-    from protochain.structure.preparation import capped
+    from protochain.structure.preparation import capping
 
-    capped._parametrised.cache_clear()
+    capping._parametrised.cache_clear()
     monkeypatch.setattr(optional_libraries.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]

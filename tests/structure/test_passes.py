@@ -12,8 +12,16 @@ from protochain.core.arrays import read_only
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.preparation.draft import Candidate, Draft, Evidence, Omission, Part, Reading, Role
 from protochain.structure.preparation.prepare import PASSES
+from protochain.structure.preparation.structure_draft import (
+    Candidate,
+    Draft,
+    Evidence,
+    Omission,
+    Part,
+    Reading,
+    Role,
+)
 from protochain.structure.write import as_gemmi
 
 STEPS = {step.__name__: step for step in PASSES}

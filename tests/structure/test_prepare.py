@@ -12,7 +12,7 @@ from protochain.cli.options import as_option
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import EVERYTHING, Kind, Repair, summarised
 from protochain.structure.molecule.residues import Residue
-from protochain.structure.preparation.draft import Draft, Evidence, Part
+from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 
 
 def residue(name, number, occupancies):

@@ -11,7 +11,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import protonate as module
-from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.structure_draft import Draft, Part
 
 
 def member(name, number=1, *atoms, state=""):

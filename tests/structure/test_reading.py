@@ -13,8 +13,8 @@ from protochain.structure.molecule.member import atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import archive_parent
 from protochain.structure.preparation import read as module
-from protochain.structure.preparation.draft import Reading
 from protochain.structure.preparation.prepare import read
+from protochain.structure.preparation.structure_draft import Reading
 
 BACKBONE = ("N", "CA", "C", "O")
 STEP = 3.7

@@ -11,8 +11,8 @@ from protochain.structure.molecule.templates import (
     template_name,
     templates,
 )
-from protochain.structure.preparation.draft import Draft, Evidence, Part
 from protochain.structure.preparation.recognise import _matched
+from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 
 OWN = """\
 <ForceField><AtomTypes><Type name="n" element="N"/><Type name="c" element="C"/><Type name="h" element="H"/>

@@ -22,7 +22,7 @@ from protochain.core.markup import excerpt
 from protochain.core.storage import regular
 from protochain.core.timings import part
 from protochain.structure.formats import foreign
-from protochain.structure.formats.apart import (
+from protochain.structure.formats.chain_splitting import (
     join_residues,
     separate_caps,
     separate_chains,

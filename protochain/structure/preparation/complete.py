@@ -12,7 +12,7 @@ from protochain.structure.molecule.chirality import centres, handedness, inverte
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Renamed, Repair, Why
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.draft import Changes, Draft, Part, losses
+from protochain.structure.preparation.structure_draft import Changes, Draft, Part, losses
 from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed, unit
 from protochain.structure.sidechains.sites import Site
 

@@ -24,13 +24,18 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.repairs import Kind, Loss, Repair, Why
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
-from protochain.structure.preparation.bound import Chemist, charged_metals, report_metals, template_of
-from protochain.structure.preparation.capped import Maker, Place
-from protochain.structure.preparation.draft import Changes, Draft, Evidence, Fragment, Part, losses
-from protochain.structure.preparation.kept import cut
+from protochain.structure.preparation.capping import Maker, Place
+from protochain.structure.preparation.hetero_molecules import cut
+from protochain.structure.preparation.ligand_chemistry import (
+    Chemist,
+    charged_metals,
+    report_metals,
+    template_of,
+)
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.preparation.parents import convert_to_parent
 from protochain.structure.preparation.sites import stated_beside
+from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Fragment, Part, losses
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 

@@ -31,8 +31,8 @@ from protochain.structure.molecule.sugars import (
     sugar_centres,
 )
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
-from protochain.structure.preparation.draft import Changes, Draft, Evidence, Part, losses
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, is_usual
+from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
 """Atoms of the protein that bear sugars."""

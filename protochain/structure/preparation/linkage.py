@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from protochain.core.arrays import Floats
 from protochain.structure.molecule.links import Link, usual_length
 from protochain.structure.molecule.member import Member
-from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.structure_draft import Draft
 
 COVALENT_SLACK = 0.3
 """Angstrom by which atoms that are bonded may be nearer, or further apart, than the sum of their covalent

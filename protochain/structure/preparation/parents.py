@@ -7,7 +7,7 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.repairs import Kind, Repair, Why
 from protochain.structure.molecule.residues import name_in_file
 from protochain.structure.molecule.templates import archive_parent, other_names
-from protochain.structure.preparation.draft import Changes, Draft, losses
+from protochain.structure.preparation.structure_draft import Changes, Draft, losses
 
 
 def fullest(name: str) -> str:

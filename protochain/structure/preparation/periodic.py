@@ -14,7 +14,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, group_members
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import Residue
-from protochain.structure.preparation.draft import Changes, Draft
+from protochain.structure.preparation.structure_draft import Changes, Draft
 
 _THINNEST = 3.0
 """Angstrom. No molecule has a cell as thin as this; files without a box state 1 angstrom or 0."""

@@ -14,7 +14,7 @@ import gemmi
 from protochain.core.errors import StructureError
 from protochain.core.optional_libraries import library
 from protochain.structure.molecule.member import Member
-from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.structure_draft import Draft
 
 _PER_CHAIN = 9000
 """Residues that a chain of a PDB file may number, and the names of its chains."""

@@ -40,7 +40,7 @@ from protochain.structure.preparation import (
     sites,
 )
 from protochain.structure.preparation import read as chain_passes
-from protochain.structure.preparation.draft import Chemistry, Draft, Omission, Part, Reading
+from protochain.structure.preparation.structure_draft import Chemistry, Draft, Omission, Part, Reading
 
 Pass = Callable[[Draft], Iterable[Repair | Omission]]
 """A step of a preparation, which changes a draft and yields what it changed."""

@@ -10,9 +10,9 @@ from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.draft import Changes, Draft, Part
 from protochain.structure.preparation.flips import settled
 from protochain.structure.preparation.pka import by_propka
+from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 
 BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""

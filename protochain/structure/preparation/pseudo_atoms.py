@@ -12,7 +12,7 @@ import gemmi
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, Residue
 from protochain.structure.molecule.templates import Template, standard_name, template_name, templates
-from protochain.structure.preparation.draft import Changes, Draft
+from protochain.structure.preparation.structure_draft import Changes, Draft
 
 _OF_ELEMENTS = "CHNOSPD"
 """Letters with which the names of atoms of amino acids and nucleotides begin, digits aside."""

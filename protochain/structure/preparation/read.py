@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.ligands.tables import CATEGORY, of_header
-from protochain.structure.formats.apart import refuse_crowds
+from protochain.structure.formats.chain_splitting import refuse_crowds
 from protochain.structure.formats.files import parse, places_in_file
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import WELL_FORMED, handedness
@@ -26,12 +26,12 @@ from protochain.structure.molecule.templates import (
     standard_name,
     template_name,
 )
-from protochain.structure.preparation.bound import with_pose
-from protochain.structure.preparation.choose import Conformation, in_file, likeliest
 from protochain.structure.preparation.complete import complete_backbone
-from protochain.structure.preparation.draft import Candidate, Changes, Draft, Omission, Part, losses
-from protochain.structure.preparation.kept import report_unresolved, water_named
+from protochain.structure.preparation.hetero_molecules import report_unresolved, water_named
+from protochain.structure.preparation.ligand_chemistry import with_pose
 from protochain.structure.preparation.parents import convert_to_parent, fullest
+from protochain.structure.preparation.selection import Conformation, in_file, likeliest
+from protochain.structure.preparation.structure_draft import Candidate, Changes, Draft, Omission, Part, losses
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""

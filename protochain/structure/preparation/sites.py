@@ -21,9 +21,9 @@ from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.model import Tie
 from protochain.structure.molecule.repairs import Apart, Count, Kind, Repair
-from protochain.structure.preparation.draft import Changes, Contacts, Draft, Evidence, Part
-from protochain.structure.preparation.kept import JOINED
+from protochain.structure.preparation.hetero_molecules import JOINED
 from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, bonds_and_overlaps
+from protochain.structure.preparation.structure_draft import Changes, Contacts, Draft, Evidence, Part
 
 _BEYOND = 0.25
 """Angstrom: a covalent bond that is off by more is drawn to its usual length."""

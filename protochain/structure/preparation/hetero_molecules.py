@@ -22,9 +22,17 @@ from protochain.structure.molecule.member import Member, Unknown
 from protochain.structure.molecule.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
-from protochain.structure.preparation.draft import Candidate, Changes, Draft, Evidence, Omission, Part, losses
 from protochain.structure.preparation.linkage import STATED
 from protochain.structure.preparation.recognise import by_element, recognised
+from protochain.structure.preparation.structure_draft import (
+    Candidate,
+    Changes,
+    Draft,
+    Evidence,
+    Omission,
+    Part,
+    losses,
+)
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""

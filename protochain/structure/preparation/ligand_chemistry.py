@@ -31,7 +31,14 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.draft import Changes, Charging, Chemistry, Draft, Evidence, Part
+from protochain.structure.preparation.structure_draft import (
+    Changes,
+    Charging,
+    Chemistry,
+    Draft,
+    Evidence,
+    Part,
+)
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""

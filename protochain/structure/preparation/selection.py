@@ -11,13 +11,13 @@ from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
-from protochain.structure.formats.apart import chain_names, refuse_copies
+from protochain.structure.formats.chain_splitting import chain_names, refuse_copies
 from protochain.structure.formats.files import in_file_order, number_atoms
 from protochain.structure.molecule.header import take_header
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD, STATE_PARENT, Atom, Residue
 from protochain.structure.molecule.templates import templates
-from protochain.structure.preparation.draft import Changes, Draft, Omission
+from protochain.structure.preparation.structure_draft import Changes, Draft, Omission
 
 MODELS = "models"
 """Name of the assembly of all models of a file."""

@@ -27,8 +27,8 @@ from protochain.structure.molecule.links import Link, usual_length
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.residues import NUCLEOTIDES, OF_ALANINE
 from protochain.structure.molecule.templates import PHOSPHATE_END
-from protochain.structure.preparation.bound import Chemist, inner_donors
-from protochain.structure.preparation.draft import Fragment, Part
+from protochain.structure.preparation.ligand_chemistry import Chemist, inner_donors
+from protochain.structure.preparation.structure_draft import Fragment, Part
 
 _H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _DOUBLE = 0.03

@@ -19,7 +19,7 @@ from protochain.ligands.sources import of_residue, read
 from protochain.structure.ligand_files import poses
 from protochain.structure.molecule.chirality import chiral_atoms, volume
 from protochain.structure.molecule.repairs import Kind
-from protochain.structure.preparation.bound import _named_apart
+from protochain.structure.preparation.ligand_chemistry import _named_apart
 from protochain.validation.stereocentres import inverted_stereocentres
 
 Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))
