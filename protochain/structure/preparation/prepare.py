@@ -29,14 +29,14 @@ from protochain.structure.molecule.model import BoundLigand, Origin, Structure
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import (
-    bound,
-    choose,
     complete,
     fragments,
-    kept,
+    hetero_molecules,
+    ligand_chemistry,
     periodic,
     protonate,
     pseudo_atoms,
+    selection,
     sites,
 )
 from protochain.structure.preparation import read as chain_passes
@@ -46,34 +46,34 @@ Pass = Callable[[Draft], Iterable[Repair | Omission]]
 """A step of a preparation, which changes a draft and yields what it changed."""
 
 READING: tuple[Pass, ...] = (
-    choose.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
-    choose.choose_model,
+    selection.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
+    selection.choose_model,
     pseudo_atoms.remove_pseudo_atoms,
     periodic.make_whole,  # Molecules that a periodic box cuts.
-    choose.correct_atoms,  # Occupancies, deuterium, elements.
+    selection.correct_atoms,  # Occupancies, deuterium, elements.
     chain_passes.read_bonds,  # Bonds that the file states.
-    choose.choose_chains,
-    choose.choose_altlocs,
+    selection.choose_chains,
+    selection.choose_altlocs,
     chain_passes.split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
     chain_passes.join_chains,  # Pieces whose ends are bonded.
     chain_passes.add_poses,  # Molecules that the user gives.
-    kept.choose_kept,  # Molecules kept beside the protein, and what each is.
-    kept.require_chain,
+    hetero_molecules.choose_kept,  # Molecules kept beside the protein, and what each is.
+    hetero_molecules.require_chain,
     sites.find_links,  # Bonds between the protein and these.
     fragments.assign_chemistry,  # Residues that no template fits.
     sites.report_links,
-    bound.parametrise_ligands,  # Small molecules.
-    kept.report_kept,
+    ligand_chemistry.parametrise_ligands,  # Small molecules.
+    hetero_molecules.report_kept,
     chain_passes.order_parts,
 )
 """Passes from a file to molecules of known chemistry."""
 COMPLETING: tuple[Pass, ...] = (
     sites.list_bonds,  # Bonds otherwise than along a chain; molecules that move.
-    bound.take_ligands,  # Templates of ligands that move.
+    ligand_chemistry.take_ligands,  # Templates of ligands that move.
     complete.add_heavy_atoms,
     sites.bond_disulfides,
     protonate.protonate,
-    bound.put_hydrogens,  # Of ligands, as their molecules have them.
+    ligand_chemistry.put_hydrogens,  # Of ligands, as their molecules have them.
 )
 """Passes from molecules to all of their atoms."""
 PASSES = READING + COMPLETING
