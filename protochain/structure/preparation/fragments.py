@@ -34,7 +34,7 @@ from protochain.structure.preparation.ligand_chemistry import (
 )
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.preparation.parents import convert_to_parent
-from protochain.structure.preparation.sites import stated_beside
+from protochain.structure.preparation.sites import stated_hetero_links
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Fragment, Part, losses
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
@@ -158,7 +158,7 @@ def _groups(
 def _between(draft: Draft) -> Iterator[Link]:
     """Bonds that the file states between kept molecules, but of metals and known glycans."""
     parts = {id(m): part for part in draft.parts for m in part.members}
-    for link in stated_beside(draft):
+    for link in stated_hetero_links(draft):
         (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
         if (
             link.atom.element.is_metal or link.is_metal or (one.glycam_code and other.glycam_code)

@@ -269,7 +269,7 @@ def prepare(draft: Draft) -> Structure:
         axis=0,
     ).T
     between = [link for link in draft.metal_links if link.member is not link.other]
-    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_beside(draft), *between])
+    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *between])
     held = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
     of_residues = [part for part in draft.parts for _ in part.members]
     return Structure(
