@@ -17,12 +17,12 @@ from protochain.structure.preparation.prepare import user_files
 NAME = "settings.json"
 
 
-def keep_settings(
+def store_settings(
     folder: Path, common: BatchSettings, jobs: Sequence[Job], table: str = "summary.csv"
 ) -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones."""
     path = folder / NAME
-    settings, records = _plain(common), _of_structures(common, jobs)
+    settings, records = _plain(common), _structure_settings(common, jobs)
     if path.exists():
         before, recorded = _read(path)
         _refuse_others(folder, "", before, settings)
@@ -66,7 +66,7 @@ def _plain(settings: BatchSettings) -> dict[str, Any]:
     return plain
 
 
-def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
+def _structure_settings(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
     """What each structure has other than the common settings; several where a manifest names it again."""
     usual = _plain(common)
     records: dict[str, list[dict[str, Any]]] = {}
@@ -97,12 +97,12 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
         old, new = before.get(name), now.get(name)
         if old != new:
             raise ProtochainError(
-                f"{folder}: holds results{whose} {_differing(name, old, new)}; repeat the settings, or give "
+                f"{folder}: holds results{whose} {_difference(name, old, new)}; repeat the settings, or give "
                 "another folder"
             )
 
 
-def _differing(name: str, old: Any, new: Any) -> str:
+def _difference(name: str, old: Any, new: Any) -> str:
     """How a setting differs, in words."""
     if old in (None, ""):
         return f"without {name}, which is {_text_of(new)} now"

@@ -9,8 +9,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.batch_settings import keep_settings
-from protochain.batches.cluster import Processes, Submitted, Workers, at_work
+from protochain.batches.batch_settings import store_settings
+from protochain.batches.cluster import Processes, Submitted, Workers, open_workers
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, find_jobs, refuse_unknown
 from protochain.batches.table import OF_INTERFACE, RELAXED, SUMMARY, Tables, earlier_rows, read_table
 from protochain.batches.task import Task
@@ -254,12 +254,12 @@ def run_batch(
     tables = Tables(folder, resume, name, methods, OF_INTERFACE if scores else (), force)
     try:
         tables.check()
-        keep_settings(folder, common, jobs, tables.summary.name)
-        finished_keys = tables.finished(jobs)
+        store_settings(folder, common, jobs, tables.summary.name)
+        finished_keys = tables.select_finished(jobs)
         todo = [job for job in jobs if job.identity not in finished_keys]
         interrupted = False
         if todo:
-            with at_work(processes) as workers:
+            with open_workers(processes) as workers:
                 interrupted = _work(workers, todo, tables, processes, len(finished_keys), watch)
         with held_interrupts():
             tables.sort(jobs)
@@ -287,7 +287,7 @@ def _work(
                 running.submit(Task(job.anywhere(), folder))
             if not len(running):
                 return False
-            task, future = running.ended()
+            task, future = running.wait_for_next()
             if future.cancelled():
                 return True  # The connection to the scheduler is lost.
             with held_interrupts() as interrupts:
@@ -310,9 +310,9 @@ def _line(rows: Sequence[Row]) -> str:
     lines: list[str] = []
     for record in (row.record for row in rows):
         if "output" in record and record["status"] not in ("killed", "error"):  # These are of its page.
-            of_relaxed = "n_rounds" in record
+            is_relaxed = "n_rounds" in record
             before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
-            mended = f"violations {before} to {after}, " if of_relaxed else ""
+            mended = f"violations {before} to {after}, " if is_relaxed else ""
             rmsd = record["ca_rmsd_angstrom"]  # none without C-alphas, as of DNA
             moved = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
             motion = record.get("ligand_rmsd_angstrom")
@@ -351,8 +351,8 @@ def _rows(future: Any, task: Task) -> list[Row]:
 
 def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:
     """Text of a column by structure, where there is any."""
-    of = dict(zip(table["structure"], table[key], strict=True))
-    return {str(name): text for name, text in of.items() if isinstance(text, str) and text}
+    texts = dict(zip(table["structure"], table[key], strict=True))
+    return {str(name): text for name, text in texts.items() if isinstance(text, str) and text}
 
 
 def _finish(tables: Tables, jobs: Sequence[Job]) -> None:

@@ -82,7 +82,7 @@ class Workers:
 
 
 @contextmanager
-def at_work(processes: Processes) -> Iterator[Workers]:
+def open_workers(processes: Processes) -> Iterator[Workers]:
     """Start threads of this process, or connect to a cluster; what is not done at the end is given up."""
     if processes.scheduler is None:
         # Without sockets: whoever could reach them would run any code as the user.
@@ -104,7 +104,7 @@ class Submitted:
     # seconds)`` which rows stand for those that are missing where its process ended.
 
     def __init__(self, workers: Workers, processes: Processes) -> None:
-        self.workers, self.given = workers, (processes.threads, processes.time_limit)
+        self.workers, self.limits = workers, (processes.threads, processes.time_limit)
         self._ended: SimpleQueue[tuple[Any, Any]] = SimpleQueue()
         self._running = set[Any]()  # Dask gives up what nobody holds.
 
@@ -113,30 +113,30 @@ class Submitted:
 
     def submit(self, job: Any) -> None:
         """Hand out a job."""
-        future = self.workers.submit(supervise, job, *self.given)
+        future = self.workers.submit(supervise, job, *self.limits)
         self._running.add(future)
         future.add_done_callback(lambda future: self._ended.put((job, future)))
 
-    def ended(self, timeout: float | None = None) -> tuple[Any, Any]:
+    def wait_for_next(self, timeout: float | None = None) -> tuple[Any, Any]:
         """Wait for the next to end: the job, and its future; :class:`queue.Empty` after a timeout, s."""
         job, future = self._ended.get(timeout=timeout)
         self._running.remove(future)
         return job, future
 
 
-def each_done(
+def run_jobs(
     jobs: Sequence[Any], processes: Processes | None, threads: int | None = None
 ) -> Iterator[tuple[Any, list[Any]]]:
     """Jobs with their rows: here, one after the other, on so many threads; or by processes, as they end."""
     if processes is None:
         yield from ((job, [*job.run(threads)]) for job in jobs)
         return
-    with at_work(processes) as workers:
+    with open_workers(processes) as workers:
         running = Submitted(workers, processes)
         for job in jobs:
             running.submit(job)
         while len(running):
-            job, future = running.ended()
+            job, future = running.wait_for_next()
             yield job, future.result()
 
 
@@ -156,7 +156,7 @@ def reason(error: Exception, path: object = "") -> tuple[str, str]:
 
 
 @contextmanager
-def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
+def shared_file(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
     """File, for as long as it is needed, of values that all processes read."""
     with tempfile.TemporaryDirectory(".part", temporary_stem(), folder) as shared_folder:
         path = Path(shared_folder).absolute() / "task.pickle"
@@ -172,7 +172,7 @@ def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path
 
 
 @lru_cache(maxsize=1)
-def unpickled(path: Path) -> Any:
+def load_shared(path: Path) -> Any:
     """What :func:`shared` wrote: the jobs of a process have it in common."""
     return pickle.loads(path.read_bytes())
 

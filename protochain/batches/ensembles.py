@@ -111,22 +111,22 @@ def cluster_frames(
         )
     structure, numbers = ensemble.structure, [*frames_read.chosen]
     alpha, atoms = structure.alpha_carbons, np.flatnonzero(chosen(structure, measure))
-    fours = _backbone(structure) if by == "torsions" else np.empty((0, 4), dtype=np.int64)
-    if by == "torsions" and not len(fours):
+    quadruples = _backbone(structure) if by == "torsions" else np.empty((0, 4), dtype=np.int64)
+    if by == "torsions" and not len(quadruples):
         raise ProtochainError(f"{structure.name}: has no phi or psi to cluster by; cluster by rmsd")
     x = [ensemble.at(frame).positions for frame in frames_read]
-    away = (
-        _turns(x, fours)
+    distances = (
+        _torsion_distances(x, quadruples)
         if by == "torsions"
         else ANGSTROM_PER_NM * rmsds([conformer[atoms] for conformer in x])
     )
-    labels, middle = grouped(away, WITHIN[by] if within is None else within)
+    labels, medoids = cluster_distances(distances, WITHIN[by] if within is None else within)
     table = pd.DataFrame({
-        "frame": numbers, "cluster": labels, "medoid": np.isin(np.arange(len(x)), middle),
-        "distance_to_medoid": away[np.arange(len(x)), middle[labels - 1]],
+        "frame": numbers, "cluster": labels, "medoid": np.isin(np.arange(len(x)), medoids),
+        "distance_to_medoid": distances[np.arange(len(x)), medoids[labels - 1]],
     })  # fmt: skip
     return Clusters(
-        table, tuple(structure.with_positions(x[k]) for k in middle.tolist()),
+        table, tuple(structure.with_positions(x[k]) for k in medoids.tolist()),
         alpha_residues(structure).assign(ca_fluctuation_angstrom=fluctuations([frame[alpha] for frame in x])),
     )  # fmt: skip
 
@@ -144,17 +144,17 @@ def rmsds(x: Sequence[Floats]) -> Floats:
     return distances
 
 
-def grouped(away: Floats, within: float) -> tuple[Integers, Integers]:
+def cluster_distances(distances: Floats, within: float) -> tuple[Integers, Integers]:
     """Cluster (m,), from 1, the largest first, and medoid of each, by average linkage of distances (m, m)."""
-    m = len(away)
-    tree = linkage(squareform(away, checks=False), "average") if m > 1 else np.empty((0, 4))
+    m = len(distances)
+    tree = linkage(squareform(distances, checks=False), "average") if m > 1 else np.empty((0, 4))
     flat_clusters = fcluster(tree, within, "distance") if m > 1 else np.ones(1, dtype=np.int64)
     _, first, counts = np.unique(flat_clusters, return_index=True, return_counts=True)
     order = np.lexsort([first, -counts])
     labels = np.argsort(order)[flat_clusters - 1] + 1
     members = [np.flatnonzero(labels == k) for k in range(1, len(order) + 1)]
-    middle = [indices[np.argmin(away[np.ix_(indices, indices)].sum(axis=1))] for indices in members]
-    return labels, np.array(middle)
+    medoids = [indices[np.argmin(distances[np.ix_(indices, indices)].sum(axis=1))] for indices in members]
+    return labels, np.array(medoids)
 
 
 def fluctuations(x: list[Floats]) -> Floats:
@@ -175,11 +175,11 @@ def _backbone(structure: Structure) -> Integers:
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
 
 
-def _turns(x: list[Floats], fours: Integers) -> Floats:
+def _torsion_distances(x: list[Floats], quadruples: Integers) -> Floats:
     """(m, m) root mean square of the differences of dihedrals, degrees."""
-    q = np.array([dihedral(*frame[fours.T]) for frame in x])
-    off = np.zeros((len(q), len(q)))
+    q = np.array([dihedral(*frame[quadruples.T]) for frame in x])
+    distances = np.zeros((len(q), len(q)))
     for i in range(len(q)):
         turn = q - q[i]
-        off[i] = np.sqrt(np.mean((turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))) ** 2, axis=1))
-    return np.degrees(off)
+        distances[i] = np.sqrt(np.mean((turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))) ** 2, axis=1))
+    return np.degrees(distances)

@@ -126,11 +126,11 @@ def _complete(
     """What a run that is complete wrote; a table of other frames or columns is refused."""
     with table.open(newline="", encoding="utf-8", errors="replace") as file:
         reader = csv.DictReader(file)
-        has_its = tuple(reader.fieldnames or ()) == _columns(task, trajectory)
-        rows = [(row["frame"], row["status"], row.get("output_frame")) for row in reader] if has_its else []
+        matches = tuple(reader.fieldnames or ()) == _columns(task, trajectory)
+        rows = [(row["frame"], row["status"], row.get("output_frame")) for row in reader] if matches else []
     written = sum(bool(place) for *_, place in rows)
-    is_its = [frame for frame, *_ in rows] == [*map(str, frames.chosen)]
-    if not is_its or (written and trajectory and not trajectory.exists()):
+    has_frames = [frame for frame, *_ in rows] == [*map(str, frames.chosen)]
+    if not has_frames or (written and trajectory and not trajectory.exists()):
         raise ProtochainError(
             f"{table}: is of another run, or lacks what it wrote; give another output, or begin anew with ",
             Argument("force", True),
@@ -169,7 +169,7 @@ class _Files:
                 save(ensemble.structure, self.topology, hydrogens=hydrogens)
         with writing(table):
             self.rows = GrowingTable(table, _columns(task, trajectory), resumed["bytes"])
-        self.told = monotonic()
+        self.saved_at = monotonic()
         self.keep()
 
     def _read_checkpoint(self, resume: bool, force: bool) -> Mapping[str, Any]:
@@ -208,7 +208,7 @@ class _Files:
             self.rows.append(row)
         self.counts[str(row["status"])] += 1
         self.n_rows += 1
-        if monotonic() - self.told > _KEEP_EVERY:
+        if monotonic() - self.saved_at > _KEEP_EVERY:
             self.keep()
 
     def keep(self) -> None:
@@ -221,7 +221,7 @@ class _Files:
             "counts": dict(self.counts),
         }  # fmt: skip
         write_checkpoint(self.checkpoint, {}, state, self.settings)
-        self.told = monotonic()
+        self.saved_at = monotonic()
 
     def finish(self) -> None:
         """Give the trajectory its name, or make models of it; nothing is left to resume."""

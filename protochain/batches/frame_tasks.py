@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from protochain.batches.cluster import reason, unpickled
+from protochain.batches.cluster import load_shared, reason
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
@@ -231,7 +231,7 @@ class FrameRow(Value):
     index: int
     record: Mapping[str, Any]
     x: Floats | None
-    ended: bool = False
+    process_ended: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "record", dict(self.record))
@@ -251,22 +251,22 @@ class FrameJob:
 
     def run(self, threads: int) -> Iterator[FrameRow]:
         """Do the task to each of the frames."""
-        ensemble, act, reading = begun(self.task, threads)
+        ensemble, act, reading = prepare_task(self.task, threads)
         for frame in self.frames:
             yield row_of(ensemble, act, reading.at(frame) if isinstance(frame, int) else frame)
 
-    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
+    def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
         """Row of the frame at which the process ended, after others were done."""
-        lost_frame = self.frames[len(done)]
+        lost_frame = self.frames[len(finished_rows)]
         frame = Frame(lost_frame, None) if isinstance(lost_frame, int) else lost_frame
-        row = origin(frame) | failed(frame, status, message) | {"seconds": seconds}
+        row = origin(frame) | failure_columns(frame, status, message) | {"seconds": seconds}
         return [FrameRow(frame.index, row, None, status == "killed")]
 
 
 @lru_cache(maxsize=1)
-def begun(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
+def prepare_task(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
     """Ensemble, task and frames of a file, ready."""
-    ensemble, task, source = unpickled(path)
+    ensemble, task, source = load_shared(path)
     reading = None if source is None else Reading(open_frames(source))
     return ensemble, task.begin(ensemble.structure, threads), reading
 
@@ -286,7 +286,7 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
             structure.positions if x is None else x,
         )
     except Exception as error:
-        failure = failed(frame, *reason(error))
+        failure = failure_columns(frame, *reason(error))
     return FrameRow(frame.index, row | failure | {"seconds": perf_counter() - began}, None)
 
 
@@ -299,6 +299,6 @@ def origin(frame: Frame) -> dict[str, Any]:
     return {"frame": frame.index, "time_ps": frame.time}
 
 
-def failed(frame: Frame, status: str, message: str) -> dict[str, Any]:
+def failure_columns(frame: Frame, status: str, message: str) -> dict[str, Any]:
     """Columns of a frame that cannot be used."""
     return {"status": status, "message": f"frame {frame.index}: {' '.join(message.split())}"}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.cluster import Processes, Submitted, at_work, shared
+from protochain.batches.cluster import Processes, Submitted, open_workers, shared_file
 from protochain.batches.frame_tasks import EnergyFrames, FrameJob, FrameRow, RelaxFrames, Task, row_of
 from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
@@ -175,11 +175,11 @@ def frame_energies(
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
     """Open frames, prepare the structure that they are of, and find its atoms among theirs."""
-    opened = open_frames(top if frames is None else frames, select)
+    frames_read = open_frames(top if frames is None else frames, select)
     structure = setup.load(top)
     names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues")
     settings = {name: getattr(setup, name) for name in names}
-    return Ensemble.of(structure, opened, settings), opened
+    return Ensemble.of(structure, frames_read, settings), frames_read
 
 
 def over_frames(
@@ -192,11 +192,11 @@ def over_frames(
             yield _result(ensemble, task, frame.index, row_of(ensemble, act, frame))
         return
     arguments = ensemble, task, frames.path and frames.path.absolute()
-    with shared(arguments) as path, at_work(processes) as workers:
+    with shared_file(arguments) as path, open_workers(processes) as workers:
         waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
         jobs = deque[FrameJob]()
         rows: dict[int, FrameRow] = {}
-        running, again = Submitted(workers, processes), set[int]()
+        running, retried = Submitted(workers, processes), set[int]()
         while True:
             # Counted from the oldest that is not done: results that wait for it do not pile up.
             while len(jobs) < _AHEAD * max(1, workers.count()) and (
@@ -206,11 +206,11 @@ def over_frames(
                 running.submit(jobs[-1])
             if not jobs:
                 return
-            job, future = running.ended()
+            job, future = running.wait_for_next()
             future_rows = future.result()
             # A damaged frame may spoil memory, so that the process ends at a sound one after it.
-            if future_rows[-1].ended and future_rows[-1].index not in again:
-                again.add(future_rows.pop().index)
+            if future_rows[-1].process_ended and future_rows[-1].index not in retried:
+                retried.add(future_rows.pop().index)
             rows |= {row.index: row for row in future_rows}
             if len(future_rows) < len(job.frames):  # From or after the one at which the process ended.
                 running.submit(FrameJob(path, job.frames[len(future_rows) :]))

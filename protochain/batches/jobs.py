@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
+from protochain.batches.naming import Earlier, NameRequest, absolute, assign_names
 from protochain.chains.setup import ALL_MODELS, Setup, models_asked
 from protochain.core import defaults
 from protochain.core.checks import (
@@ -97,7 +97,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     @property
     def minimising(self) -> dict[str, Any]:
         """Settings of a minimisation by name."""
-        return {each.name: getattr(self, each.name) for each in fields(MinimiseSettings)}
+        return {field.name: getattr(self, field.name) for field in fields(MinimiseSettings)}
 
     @property
     def of_relaxing(self) -> Setup:
@@ -136,10 +136,10 @@ class BatchSettings(StartSettings, MinimiseSettings):
         settings.refuse_idle(cells)
         return settings
 
-    def refuse_idle(self, given: Iterable[str], idle: frozenset[str] | None = None) -> None:
+    def refuse_idle(self, names: Iterable[str], idle: frozenset[str] | None = None) -> None:
         """Refuse the first of the settings given that no method has: nothing would come of it."""
         idle = self.idle if idle is None else idle
-        name = next((name for name in given if name in idle), None)
+        name = next((name for name in names if name in idle), None)
         if name is not None:
             raise ProtochainError(
                 Argument(name), f": is no setting of {', '.join(self.methods)}; leave it out, or give other ",
@@ -157,9 +157,9 @@ class BatchSettings(StartSettings, MinimiseSettings):
         return {name: value for name, value in self.values().items() if name not in self.idle}
 
 
-def refuse_unknown(given: Iterable[str], known_names: Sequence[str]) -> None:
+def refuse_unknown(names: Iterable[str], known_names: Sequence[str]) -> None:
     """Refuse the first name that is not known, and list those that are."""
-    unknown = next((name for name in given if name not in known_names), None)
+    unknown = next((name for name in names if name not in known_names), None)
     if unknown is not None:
         raise ProtochainError(
             f"no setting is called {unknown!r}; choose from {', '.join(dict.fromkeys(known_names))}"
@@ -173,31 +173,31 @@ def _truth(text: str) -> bool:
 
 
 _NO_VALUES = ("setup", "relaxing", "threads")
-_OF_SETUP = tuple(each.name for each in fields(Setup))
+_OF_SETUP = tuple(field.name for field in fields(Setup))
 _OF_RELAXING = frozenset(OF_RELAXING) - {"tolerance"}
-_OF_MINIMISING = frozenset(each.name for kind in (MinimiseSettings, StartSettings) for each in fields(kind))
+_OF_MINIMISING = frozenset(field.name for kind in (MinimiseSettings, StartSettings) for field in fields(kind))
 _OF_MINIMISING = (_OF_MINIMISING - {"tolerance"}) | {*WITHOUT}
-NAMES = tuple(dict.fromkeys((*(each.name for each in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
+NAMES = tuple(dict.fromkeys((*(field.name for field in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
 """Settings of a batch's structures, by the names of their fields."""
 
 
-def _reader(its: Setting) -> Callable[[str], Any]:
+def _reader(option: Setting) -> Callable[[str], Any]:
     """Reader of a cell of a manifest, which says what the option would be given."""
-    kind = _READERS.get(its.kind, str)
-    return lambda text: its.read(kind(text)) if its.read else kind(text)
+    kind = _READERS.get(option.kind, str)
+    return lambda text: option.read(kind(text)) if option.read else kind(text)
 
 
 _READERS: Mapping[Any, Callable[[str], Any]] = {bool: _truth, int: int, float: float}
 _SETTINGS = {
-    name: its
+    name: option
     for kind in (BatchSettings, RelaxSettings, Setup)
-    for name, its in settings_of(kind)
+    for name, option in settings_of(kind)
     # A list of structures may not decide that the code in a force-field file is run.
     if name not in (*_NO_VALUES, "trust_forcefield")
 }
-_IN_MANIFEST = {name: _reader(its) for name, its in _SETTINGS.items()}
+_IN_MANIFEST = {name: _reader(option) for name, option in _SETTINGS.items()}
 """Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
-_OF_OPTION = {its.column(name): name for name, its in _SETTINGS.items()}
+_OF_OPTION = {option.column(name): name for name, option in _SETTINGS.items()}
 """Fields by the names of their options; a manifest may use either."""
 _COLUMNS = tuple(_OF_OPTION)
 
@@ -269,7 +269,7 @@ def origin(job: Job) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _JobInput:
     path: Path
     settings: BatchSettings
     root: Path
@@ -316,11 +316,11 @@ def find_jobs(
         method has, or an input might be replaced.
     """
     inputs_found = [
-        _Found(path, settings, root) for source in inputs for path, root in _paths(str(source), output)
+        _JobInput(path, settings, root) for source in inputs for path, root in _paths(str(source), output)
     ]
     if manifest:
         inputs_found += _from_manifest(manifest, settings)
-    unique: dict[tuple[Path, BatchSettings], _Found] = {}
+    unique: dict[tuple[Path, BatchSettings], _JobInput] = {}
     for job_input in (
         job_input for one in inputs_found for with_pose in _poses(one) for job_input in _models(with_pose)
     ):
@@ -345,15 +345,15 @@ def find_jobs(
     )
     jobs = [job_input.job() for job_input in inputs_found]
     requested = [
-        Wanted(
+        NameRequest(
             job.path, job_input.root, job.settings.setup.model, job.key, job.settings.methods, job_input.pose
         )
         for job_input, job in zip(inputs_found, jobs, strict=True)
     ]
-    return [replace(job, name=name) for job, name in zip(jobs, named_apart(requested, earlier), strict=True)]
+    return [replace(job, name=name) for job, name in zip(jobs, assign_names(requested, earlier), strict=True)]
 
 
-def listed(by_nul: bool = False) -> list[str]:
+def read_names(by_nul: bool = False) -> list[str]:
     """Names on standard input: one a line, or with NULs between them, as of ``find -print0``."""
     data = sys.stdin.buffer.read() if hasattr(sys.stdin, "buffer") else sys.stdin.read().encode()
     # Names of files need not be text.
@@ -363,27 +363,27 @@ def listed(by_nul: bool = False) -> list[str]:
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _paths(given: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
+def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
     """Files that are meant, each with the folder below which its own folders are named."""
-    if given == "-":
-        for name in listed():
+    if source == "-":
+        for name in read_names():
             yield from _paths(name, output)
-    elif Path(given).is_dir():
-        if output and (absolute(Path(given)) == absolute(output) or _is_inside(Path(given), output)):
+    elif Path(source).is_dir():
+        if output and (absolute(Path(source)) == absolute(output) or _is_inside(Path(source), output)):
             raise ProtochainError(
-                f"{given}: is the folder for the results, or lies in it; give them a folder of their own"
+                f"{source}: is the folder for the results, or lies in it; give them a folder of their own"
             )
-        matches = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
-        yield from ((path, Path(given)) for path in matches if not _is_inside(path, output))
-    elif not Path(given).exists() and _GLOB & set(given):
-        matched = sorted(glob.glob(given, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
+        matches = sorted(path for path in Path(source).rglob("*") if _is_structure(path))
+        yield from ((path, Path(source)) for path in matches if not _is_inside(path, output))
+    elif not Path(source).exists() and _GLOB & set(source):
+        matched = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not matched:
-            raise ProtochainError(f"{given}: matches no file")
-        fixed = itertools.takewhile(lambda part: not _GLOB & set(part), Path(given).parts)
+            raise ProtochainError(f"{source}: matches no file")
+        fixed = itertools.takewhile(lambda part: not _GLOB & set(part), Path(source).parts)
         root = Path(*fixed)
         yield from ((Path(path), root) for path in matched if not Path(path).is_dir())
     else:
-        yield Path(given), Path(given).parent
+        yield Path(source), Path(source).parent
 
 
 def _is_inside(path: Path, folder: Path | None) -> bool:
@@ -398,7 +398,7 @@ def _is_structure(path: Path) -> bool:
     return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
-def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
+def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_JobInput]:
     if not regular(manifest).exists():
         raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
     try:
@@ -420,24 +420,24 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
         except ProtochainError as error:
             raise ProtochainError(f"{manifest}: line {line}: ", *error.parts) from error
         path = manifest.parent / row["path"].strip()
-        candidates.append(_Found(path, row_settings, path.parent))
+        candidates.append(_JobInput(path, row_settings, path.parent))
     return candidates
 
 
-def _poses(found: _Found) -> list[_Found]:
+def _poses(job_input: _JobInput) -> list[_JobInput]:
     """The structure with each pose of a folder or a file that was given as a ligand."""
-    ligands = found.settings.setup.ligands
+    ligands = job_input.settings.setup.ligands
     group = next((source for name, source in ligands if not name and are_several(source)), None)
     if group is None:
-        return [found]
+        return [job_input]
     sources = poses(Path(group))
     if not sources:
         raise ProtochainError(f"{group}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
     other_ligands = tuple(part for part in ligands if part != ("", group))
     return [
         replace(
-            found,
-            settings=found.settings.changed(ligands=(*other_ligands, ("", pose))),
+            job_input,
+            settings=job_input.settings.changed(ligands=(*other_ligands, ("", pose))),
             pose="_".join(str(part) for part in (file.stem, record) if part),
         )
         for pose in sources
@@ -445,20 +445,20 @@ def _poses(found: _Found) -> list[_Found]:
     ]
 
 
-def _models(found: _Found) -> list[_Found]:
-    requested = found.settings.setup.model
+def _models(job_input: _JobInput) -> list[_JobInput]:
+    requested = job_input.settings.setup.model
     if not isinstance(requested, str):
-        return [found]
+        return [job_input]
     models: Sequence[int | None]
     if requested == ALL_MODELS:
         try:
-            numbers = model_numbers(found.path)
+            numbers = model_numbers(job_input.path)
         except (ProtochainError, OSError):
             numbers = []  # The job fails, with the reason, when it is run.
         models = numbers if len(numbers) > 1 else [None]
     else:
         models = models_asked(requested)  # A job whose model is not there fails, and says so.
-    return [replace(found, settings=found.settings.changed(model=model)) for model in models]
+    return [replace(job_input, settings=job_input.settings.changed(model=model)) for model in models]
 
 
 def _files(setup: Setup) -> list[Path]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.batches.cluster import Processes, each_done, reason, shared, unpickled
+from protochain.batches.cluster import Processes, load_shared, reason, run_jobs, shared_file
 from protochain.chains.setup import Setup
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.checks import at_least, checked, optional, text
@@ -45,7 +45,7 @@ class SiteJob:
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""
-        structure, relaxing, setup = unpickled(self.task)
+        structure, relaxing, setup = load_shared(self.task)
         relaxations: dict[tuple[Any, ...], Relaxation] = {}
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
@@ -55,12 +55,12 @@ class SiteJob:
             except Exception as error:
                 yield _failed_row(structure, self.residue, letter, *reason(error))
 
-    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
+    def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
         """Rows of the mutants that are missing, where the process ended."""
-        structure = unpickled(self.task)[0]
+        structure = load_shared(self.task)[0]
         return [
             _failed_row(structure, self.residue, letter, status, message)
-            for letter in self.letters[len(done) :]
+            for letter in self.letters[len(finished_rows) :]
         ]
 
 
@@ -145,9 +145,9 @@ def rows_of(
     processes: Processes | None,
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
     """Rows of mutants, as they are done."""
-    with shared((structure, relaxing, setup)) as path:
+    with shared_file((structure, relaxing, setup)) as path:
         site_jobs = [SiteJob(path, *job) for job in jobs]
-        for _, rows in each_done(site_jobs, processes, setup.threads):
+        for _, rows in run_jobs(site_jobs, processes, setup.threads):
             yield from rows
 
 
@@ -163,7 +163,7 @@ def run_scan(
     """Write a table of mutants as they are done, after a kill those that are left; whether it was stopped."""
     import pandas as pd
 
-    jobs, begun = sites_of(structure, sites, into), checkpoint_of(table)
+    jobs, checkpoint_file = sites_of(structure, sites, into), checkpoint_of(table)
     plain = {
         name: str(value) for name, value in {**vars(setup), **vars(relaxing)}.items() if name != "threads"
     }
@@ -172,9 +172,9 @@ def run_scan(
         "positions": float(np.abs(structure.positions).sum()), **plain,
     }  # fmt: skip
     rows: Rows = []
-    if begun.exists() and resume:
+    if checkpoint_file.exists() and resume:
         remedy = "give another output, or leave out ", Argument("resume", True)
-        with checkpoint(begun, settings, "scan", *remedy):
+        with checkpoint(checkpoint_file, settings, "scan", *remedy):
             pass  # Its settings are the same.
         if table.exists():
             numbers = [column.key for column in COLUMNS if column.kind is not str]
@@ -183,13 +183,13 @@ def run_scan(
                 na_values={name: [""] for name in numbers},
             )  # fmt: skip
             rows = read.to_dict("records")
-    elif begun.exists():
-        raise refuse_earlier(table, "an interrupted scan", "; or remove ", str(begun))
+    elif checkpoint_file.exists():
+        raise refuse_earlier(table, "an interrupted scan", "; or remove ", str(checkpoint_file))
     finished, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
     left = []
     for r, letters in jobs:
-        value = structure.residue(r)
-        letters = "".join(column for column in letters if (value.chain, value.number, column) not in finished)
+        site = structure.residue(r)
+        letters = "".join(letter for letter in letters if (site.chain, site.number, letter) not in finished)
         left += [(r, letters)] if letters else []
     total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
 
@@ -201,7 +201,7 @@ def run_scan(
         return sorted_table
 
     keep()  # In place of an earlier table, whose rows would be taken for those of this scan.
-    write_checkpoint(begun, {}, None, settings)
+    write_checkpoint(checkpoint_file, {}, None, settings)
     try:
         for row in rows_of(structure, left, relaxing, setup, processes):
             with held_interrupts() as signals:
@@ -213,7 +213,7 @@ def run_scan(
     except KeyboardInterrupt:
         interrupted = True
     if not interrupted:
-        begun.unlink(missing_ok=True)
+        checkpoint_file.unlink(missing_ok=True)
     return keep(), interrupted
 
 

@@ -15,7 +15,7 @@ from protochain.structure.formats.files import split_name
 
 
 @dataclass(frozen=True)
-class Wanted:
+class NameRequest:
     """What is to be named."""
 
     path: Path  # Absolute.
@@ -41,8 +41,8 @@ class Wanted:
         ending = f"{suffix}{packing}" if level == _WITH_ENDING else ""
         model = "" if self.model is None else f".{self.model}"
         model += f".{self.pose}" if self.pose else ""
-        more = ("", "", f"-{self.key[:8]}", f"-{self.key}-{position}")[level]
-        return as_utf8((self.place.parent.relative_to(home) / f"{stem}{ending}{model}{more}").as_posix())
+        tag = ("", "", f"-{self.key[:8]}", f"-{self.key}-{position}")[level]
+        return as_utf8((self.place.parent.relative_to(home) / f"{stem}{ending}{model}{tag}").as_posix())
 
 
 _WITH_ENDING, _LAST = 1, 3
@@ -89,27 +89,27 @@ def output_stem(name: str, method: str) -> str:
     return str(path.with_name(relaxed_stem(path.name)))
 
 
-def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> list[str]:
+def assign_names(requests: Sequence[NameRequest], earlier: Sequence[Earlier] = ()) -> list[str]:
     """Name structures after their files, below the folder that all have in common."""
-    if not wanted:
+    if not requests:
         return []
-    folders = [folder for request in wanted for folder in (absolute(request.root), request.place.parent)]
+    folders = [folder for request in requests for folder in (absolute(request.root), request.place.parent)]
     home = Path(os.path.commonpath(folders))
-    earlier_names, used = _reuse_names(wanted, earlier)
-    levels = [0] * len(wanted)
+    earlier_names, used = _reuse(requests, earlier)
+    levels = [0] * len(requests)
     while True:
         names = [
             old or request.name(home, level, k)
-            for k, (old, request, level) in enumerate(zip(earlier_names, wanted, levels, strict=True))
+            for k, (old, request, level) in enumerate(zip(earlier_names, requests, levels, strict=True))
         ]
         claims = [
             {name, *(output_stem(name, method) for method in request.methods)}
-            for name, request in zip(names, wanted, strict=True)
+            for name, request in zip(names, requests, strict=True)
         ]
-        count = used + Counter(claim for request in claims for claim in request)
+        count = used + Counter(claim for group in claims for claim in group)
         clashing = [
-            k for k, request in enumerate(claims)
-            if not earlier_names[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in request)
+            k for k, group in enumerate(claims)
+            if not earlier_names[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in group)
         ]  # fmt: skip
         if not clashing:
             return names
@@ -117,18 +117,18 @@ def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> li
             levels[k] += 1
 
 
-def _reuse_names(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
+def _reuse(requests: Sequence[NameRequest], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
     """Names that stay, empty where there is none yet; and what results of other files claim."""
-    sources = Counter(request.source for request in wanted)
+    sources = Counter(request.source for request in requests)
     same = {(row.source, row.key): row.structure for row in earlier}
     changed = {row.source: row.structure for row in earlier if sources[row.source] == 1}
     other_rows = {row.structure: row for row in earlier if row.source not in sources}
     moved = {(row.key, Path(row.input).name): row.structure for row in other_rows.values() if row.is_gone}
     names = []
-    for request in wanted:
+    for request in requests:
         name = same.get((request.source, request.key)) or changed.get(request.source, "")
         name = name or moved.pop((request.key, request.path.name), "")
         names.append(name)
     left = other_rows.keys() - {*names}
     claims = (row.claims for row in earlier if row.structure in left)
-    return names, Counter(dict.fromkeys((claim for request in claims for claim in request), 1))
+    return names, Counter(dict.fromkeys((claim for group in claims for claim in group), 1))

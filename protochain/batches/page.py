@@ -82,12 +82,12 @@ def _view_data(
     start = next((start for start, _ in ends.values()), None)
     if start is None or not structures or start.n_atoms > _MOST_ATOMS:
         return {"models": []}
-    shared = folder / "pages" / "viewer.js"
-    if not shared.exists():
-        write_text(shared, library())
-    at = "../" * (len(path.relative_to(folder).parent.parts) - 1) + shared.name
-    same = {method: end for method, end in structures.items() if end.n_atoms == start.n_atoms}
-    return scene({"start": start, **same}, chosen=DISPLACEMENT) | {"library_at": at, "library": ""}
+    shared_file = folder / "pages" / "viewer.js"
+    if not shared_file.exists():
+        write_text(shared_file, library())
+    address = "../" * (len(path.relative_to(folder).parent.parts) - 1) + shared_file.name
+    equal = {method: end for method, end in structures.items() if end.n_atoms == start.n_atoms}
+    return scene({"start": start, **equal}, chosen=DISPLACEMENT) | {"library_at": address, "library": ""}
 
 
 def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.DataFrame":

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.cluster import Processes, each_done, reason
+from protochain.batches.cluster import Processes, reason, run_jobs
 from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -31,7 +31,7 @@ class ScoreJob:
     reference: Structure | None = None  # Complex from which its sides deviate.
 
     @property
-    def named(self) -> str:
+    def label(self) -> str:
         """Its name, and the model of the file."""
         return self.name if self.setup.model is None else f"{self.name}, model {self.setup.model}"
 
@@ -46,25 +46,25 @@ class ScoreJob:
                 structure
             )
             if not pairs:
-                raise ProtochainError(f"{self.named}: no two of its chains are in contact; give a complex")
+                raise ProtochainError(f"{self.label}: no two of its chains are in contact; give a complex")
             energy, confidences = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
             if self.relax:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
                 interface = scored(structure, energy, *pair, sides(structure, *pair), confidences)
                 off = docked(self.reference, structure, *pair) if self.reference else {}
-                yield self.named, replace(interface, scores={**interface.scores, **off})
+                yield self.label, replace(interface, scores={**interface.scores, **off})
         except Exception as error:
             message = reason(error, self.path)[1]
-            has_name = message.startswith((self.named, str(self.path)))
-            yield self.named, message if has_name else f"{self.named}: {message}"
+            has_name = message.startswith((self.label, str(self.path)))
+            yield self.label, message if has_name else f"{self.label}: {message}"
 
-    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
+    def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
         """Why interfaces are missing, where the process ended."""
-        return [(self.named, f"{self.named}: {message}")]
+        return [(self.label, f"{self.label}: {message}")]
 
 
 def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> list[Scored]:
     """Score the interfaces of complexes, in their order; without processes in this one."""
-    results = {id(job): rows for job, rows in each_done(jobs, processes)}
+    results = {id(job): rows for job, rows in run_jobs(jobs, processes)}
     return [row for job in jobs for row in results[id(job)]]

@@ -39,12 +39,12 @@ class Child:
     def __init__(self, threads: int) -> None:
         self.threads = threads
         # A pipe that is read only when the child has ended might fill.
-        self.said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
+        self.stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
         self.process = subprocess.Popen(
             own_python("from protochain.batches.child import main; main()"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self.said,
+            stderr=self.stderr,
             start_new_session=True,  # Ctrl-C, which all processes of a terminal receive, is the batch's.
             env=os.environ | dict.fromkeys(_PINNED, str(threads)),
         )
@@ -81,7 +81,7 @@ class Child:
         self.process.kill()
         self.process.wait()
         self.listener.join()
-        for pipe in (self.process.stdin, self.process.stdout, self.said):
+        for pipe in (self.process.stdin, self.process.stdout, self.stderr):
             assert pipe
             with suppress(OSError):  # Data that was not sent remains in the buffer.
                 pipe.close()
@@ -114,8 +114,8 @@ class Child:
 
     def _death(self) -> str:
         status = self.process.wait()
-        self.said.seek(0, os.SEEK_SET)
-        lines = self.said.read()[-2000:].decode(errors="replace").strip().splitlines()
+        self.stderr.seek(0, os.SEEK_SET)
+        lines = self.stderr.read()[-2000:].decode(errors="replace").strip().splitlines()
         if status >= 0:
             return f"the process that minimised it ended with status {status}: {lines[-1] if lines else ''}"
         name = signal.Signals(-status).name
@@ -123,7 +123,7 @@ class Child:
         return f"the process that minimised it was ended by {name}{cause}"
 
 
-_here = threading.local()
+_thread_state = threading.local()
 """The child of each thread, and the children it belongs to, if the thread is of a crew."""
 
 
@@ -162,7 +162,7 @@ def started_early(count: int, threads: int) -> Iterator[None]:
             _ahead.pop().kill()
 
 
-def _begun(threads: int) -> Child:
+def _take_child(threads: int) -> Child:
     """A child that was started early, or else one that is started now."""
     try:
         child = _ahead.pop()
@@ -178,7 +178,7 @@ def _begun(threads: int) -> Child:
 def crew(count: int) -> Iterator[Executor]:
     """Threads that each :func:`supervise` with a child, which is ended at the end, also within a job."""
     children = _Children()
-    executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_here, "children", children))
+    executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_thread_state, "children", children))
     try:
         yield executor
     finally:
@@ -192,12 +192,12 @@ def crew(count: int) -> Iterator[Executor]:
 
 def supervise(job: Any, threads: int, time_limit: float) -> list[Any]:
     """Run a job in this thread's child, started where none is running: time_limit s."""
-    child: Child | None = getattr(_here, "child", None)
+    child: Child | None = getattr(_thread_state, "child", None)
     if child is None or not child.is_alive or child.threads != threads:
         if child is not None:
             child.kill()
-        child = _here.child = _begun(threads)
-        children: _Children | None = getattr(_here, "children", None)
+        child = _thread_state.child = _take_child(threads)
+        children: _Children | None = getattr(_thread_state, "children", None)
         if children is not None:
             children.add(child)
     return child.do(job, time_limit)

@@ -41,8 +41,8 @@ RELAXED_COLUMNS = (
 OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
 """And those of an interface that is scored."""
 
-_OWN = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
-_TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _OWN
+_WHOLE = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
+_TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _WHOLE
 _TYPES |= {
     column.key: "string" if get_origin(column.kind) in (list, dict) else "Int64"
     for column in (*record.COLUMNS, *OF_RELAXING, *INTERFACE_COLUMNS)
@@ -76,7 +76,7 @@ SUMMARY, RELAXED, _TRACES = "summary", "relaxed", "traces.csv"
 """Stems of the names of tables, of a batch and of relaxed structures; name of that of traces."""
 
 
-def replaced(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
+def replaceable_files(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
     """Files of a folder that a new batch may replace; none if it goes on, or will be refused."""
     is_refused = not force and any((folder / f"{table}.csv").exists() for table in (SUMMARY, RELAXED))
     return [] if resume or is_refused else files_of(folder, name)
@@ -131,16 +131,16 @@ class Tables:
             for _ in _whole_lines(path):
                 pass
 
-    def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
+    def select_finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
         """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished."""
-        of = {job.identity: job for job in jobs}
+        jobs_by_identity = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)
         for row in _whole_lines(self.summary):
             groups[row["structure"], row["key"]].append(row)
         finished_jobs, rows_of_table = set(), []
         for identity, rows in groups.items():
-            job = of.get(identity)
+            job = jobs_by_identity.get(identity)
             if job is not None:
                 if {row["method"] for row in rows} != set(job.settings.methods):
                     continue

@@ -33,7 +33,7 @@ TRACE_POINTS = 50
 """Rows kept of a trace: the first, the last, and others spaced evenly in the logarithm of their index."""
 
 
-def thinned(trace: "pd.DataFrame") -> list[dict[str, float]]:
+def thin_trace(trace: "pd.DataFrame") -> list[dict[str, float]]:
     """Return some rows of a trace, each without what it does not have."""
     n = len(trace)
     if n > TRACE_POINTS:
@@ -70,11 +70,11 @@ class Task:
         except Exception as error:
             yield from self.lost(rows, *reason(error, job.path), perf_counter() - began)
 
-    def lost(self, done: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
+    def lost(self, finished_rows: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were not done when the process ended."""
-        finished = {row.record["method"] for row in done}
-        left = [method for method in self.job.settings.methods if method not in finished]
-        return [failure(self.job, method, status, message, seconds) for method in left]
+        finished = {row.record["method"] for row in finished_rows}
+        missing = [method for method in self.job.settings.methods if method not in finished]
+        return [failure(self.job, method, status, message, seconds) for method in missing]
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
@@ -85,14 +85,14 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
 
     s = job.settings
     began = perf_counter()
-    of = {method: s.of_relaxing if method == RELAX else s.setup for method in s.methods}
-    prepared = {setup: _prepare(job.path, replace(setup, threads=threads)) for setup in {*of.values()}}
+    setups = {method: s.of_relaxing if method == RELAX else s.setup for method in s.methods}
+    prepared = {setup: _prepare(job.path, replace(setup, threads=threads)) for setup in {*setups.values()}}
     chain = None if s.methods == (RELAX,) else s.setup.chain(prepared[s.setup][0])
     preparation = perf_counter() - began
     reference: tuple[Structure, Floats] | None = None
     # OpenMM first: RMSDs to its end are reported for the others.
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
-        structure, energy = prepared[of[method]]
+        structure, energy = prepared[setups[method]]
         result: Solution | Relaxation
         of_starts: dict[str, Any] = {}
         if method == RELAX:
@@ -116,7 +116,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             reference = structure, result.x
         elif reference and reference[0] is structure:
             record["ca_rmsd_to_openmm_angstrom"] = ca_rmsd(structure, result.x, reference[1])
-        yield Row(record, thinned(trace)), structure, result.structure if result.is_usable else None
+        yield Row(record, thin_trace(trace)), structure, result.structure if result.is_usable else None
 
 
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:

@@ -57,9 +57,9 @@ def batch(
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
     from protochain.batches.cluster import Processes
-    from protochain.batches.jobs import listed
+    from protochain.batches.jobs import read_names
     from protochain.batches.report import plot_distributions
-    from protochain.batches.table import SUMMARY, replaced
+    from protochain.batches.table import SUMMARY, replaceable_files
     from protochain.results.figures import check_figure, write_figure
 
     settings = BatchSettings(
@@ -68,7 +68,7 @@ def batch(
     if "-" not in (inputs or ()):
         options.refuse(context, "null", "is of names on standard input, which is not asked for (-)")
     # Standard input can be read only once.
-    lines = [line for source in inputs or () for line in (listed(null) if source == "-" else [source])]
+    lines = [line for source in inputs or () for line in (read_names(null) if source == "-" else [source])]
     if dry_run:
         jobs = find_jobs(lines, settings, manifest, output)
         if as_json:
@@ -78,7 +78,7 @@ def batch(
             print_jobs(jobs)
         raise typer.Exit(options.CONVERGED)
     check_figure(figure)
-    options.check_outputs([manifest], [*replaced(output, SUMMARY, resume, force), figure], setup)
+    options.check_outputs([manifest], [*replaceable_files(output, SUMMARY, resume, force), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         result = run(
             lines, output, manifest=manifest, resume=resume, force=force, watch=watch,

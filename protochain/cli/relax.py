@@ -204,7 +204,7 @@ def _several(
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.batch_structures import relax_files
     from protochain.batches.naming import poses_name
-    from protochain.batches.table import RELAXED, replaced
+    from protochain.batches.table import RELAXED, replaceable_files
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
     from protochain.core.storage import write_text
@@ -216,7 +216,7 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     for path in beside:
         check_ligand_file(path)
-    options.check_outputs([manifest], [*replaced(folder, RELAXED, resume, force), *beside], setup)
+    options.check_outputs([manifest], [*replaceable_files(folder, RELAXED, resume, force), *beside], setup)
     _tell_frames(inputs)
     with batch_progress() as watch:
         result = relax_files(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from protochain.batches.ensembles import grouped, rmsds
+from protochain.batches.ensembles import cluster_distances, rmsds
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
@@ -113,7 +113,7 @@ def clusters(positions: Sequence[Floats]) -> Integers:
     # By average linkage over the RMSD of pairs, superposed.
     if len(positions) < 2:
         return np.ones(len(positions), dtype=np.int64)
-    found, _ = grouped(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
+    found, _ = cluster_distances(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
     _, first = np.unique(found, return_index=True)
     renamed = {int(found[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
     return np.array([renamed[int(each)] for each in found], dtype=np.int64)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.batches.cluster import unpickled
+from protochain.batches.cluster import load_shared
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import Argument
@@ -114,7 +114,7 @@ class Piece(Value):
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""
-        landscape, methods = unpickled(self.task)
+        landscape, methods = load_shared(self.task)
         yield Done(
             self.walker, *advance(landscape, methods[self.walker], self.state, self.budget, self.seconds)
         )

@@ -11,7 +11,7 @@ from queue import Empty
 from time import perf_counter
 from typing import Any
 
-from protochain.batches.cluster import Processes, Submitted, at_work, shared
+from protochain.batches.cluster import Processes, Submitted, open_workers, shared_file
 from protochain.chains.articulate import with_energy
 from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
@@ -293,7 +293,7 @@ def _work(
                         return True
             return False
         given = walks.landscape, walks.methods
-        with shared(given, walks.folder) as task, at_work(processes) as workers:
+        with shared_file(given, walks.folder) as task, open_workers(processes) as workers:
             pieces = Submitted(workers, processes)
             return _hand_out(walks, task, pieces, share, left, take, interrupts)
 
@@ -322,7 +322,7 @@ def _hand_out(
             if interrupts:
                 return True
             try:
-                piece, future = running.ended(_POLL)
+                piece, future = running.wait_for_next(_POLL)
                 break
             except Empty:
                 continue

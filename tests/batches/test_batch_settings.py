@@ -48,7 +48,7 @@ def start_without_work(files, output, monkeypatch, **settings):
     api = importlib.import_module("protochain.batches.batch_structures")
     monkeypatch.setattr(api, "_work", work)
     monkeypatch.setattr(api, "_finish", lambda *_: None)
-    monkeypatch.setattr(api, "at_work", lambda processes: contextlib.nullcontext())
+    monkeypatch.setattr(api, "open_workers", lambda processes: contextlib.nullcontext())
     pc.batch(files, output, **settings)
     return given
 

@@ -16,7 +16,7 @@ from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import BatchSettings, cluster, find_jobs, supervise
-from protochain.batches.batch_settings import keep_settings
+from protochain.batches.batch_settings import store_settings
 from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import write_page
 from protochain.batches.report import write_report
@@ -216,7 +216,7 @@ def test_messages_are_escaped_on_pages(tmp_path):
     (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs",)))
     row = failure(job, "lbfgs", "refused", EVIL)
     tables = Tables(tmp_path, resume=False)
-    tables.finished([])
+    tables.select_finished([])
     tables.append([row])
     summary = {"n_structures": 1, "command": [EVIL], "python": "3", "versions": {}}
     write_page(tmp_path, job, [row], [EVIL])
@@ -251,13 +251,13 @@ def test_a_cluster_that_is_not_there_is_named_and_keeps_no_folder(folder, tmp_pa
 def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path, monkeypatch):
     tables = Tables(tmp_path, resume=False)
     (job,) = find_jobs([folder / "1l2y.pdb"], BatchSettings())
-    tables.finished([job])
+    tables.select_finished([job])
     tables.append([Row(origin(job) | {"method": METHOD, "status": "converged"}, [])])
     tables.close()
     # As the batch itself does, before any result.
     rows = (tmp_path / "summary.csv").read_bytes()
     (tmp_path / "summary.csv").unlink()
-    keep_settings(tmp_path, BatchSettings(), [job])
+    store_settings(tmp_path, BatchSettings(), [job])
     (tmp_path / "summary.csv").write_bytes(rows)
     monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
     with pytest.raises(pc.ProtochainError, match="no cluster answers"):

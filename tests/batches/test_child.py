@@ -49,7 +49,7 @@ def test_children_started_early_are_taken_up_or_ended(monkeypatch):
     everyone.clear()
 
     def do(threads):
-        monkeypatch.setattr(supervise, "_here", SimpleNamespace())  # As in a thread that has none.
+        monkeypatch.setattr(supervise, "_thread_state", SimpleNamespace())  # As in a thread that has none.
         return supervise.supervise("job", threads, 1.0)[1]
 
     with supervise.started_early(100, 2):

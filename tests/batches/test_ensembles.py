@@ -11,7 +11,7 @@ from fixtures.samples import STRUCTURES, load
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.batches.ensembles import fluctuations, grouped, rmsds
+from protochain.batches.ensembles import cluster_distances, fluctuations, rmsds
 from protochain.structure import ca_rmsd
 
 
@@ -90,7 +90,7 @@ def test_fluctuations_are_those_about_the_mean(three):
 
 
 def test_one_frame_is_a_cluster():
-    labels, middle = grouped(np.zeros((1, 1)), 1.0)
+    labels, middle = cluster_distances(np.zeros((1, 1)), 1.0)
     assert labels.tolist() == [1] and middle.tolist() == [0]
 
 

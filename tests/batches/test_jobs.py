@@ -15,7 +15,7 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
+from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, origin, read_names
 from protochain.relaxation import RelaxSettings
 
 PLAIN = {
@@ -213,9 +213,9 @@ def test_cells_that_cannot_be_read_are_refused(row, said):
         BatchSettings().read(row)
     options = {field: name for name, field in FIELDS.items() if "-" not in name}
     known = {options.get(name, name) for name in (*PLAIN, *OF_RELAX) if name != "trust_forcefield"}
-    told, named, listed = str(refusal.value).partition("choose from ")
+    told, named, names_listed = str(refusal.value).partition("choose from ")
     if "no setting" in told:
-        assert told + named == said and {*listed.split(", ")} == known
+        assert told + named == said and {*names_listed.split(", ")} == known
     else:
         assert str(refusal.value) == said
 
@@ -270,7 +270,7 @@ def test_a_list_on_standard_input_has_a_name_on_each_line(here, monkeypatch):
     Path("b.pdb").rename("two\nlines .pdb")
     for text, by_nul in (("two\nlines .pdb\0\0e.txt", False), ("two\nlines .pdb", True)):
         monkeypatch.setattr("sys.stdin", io.StringIO(text))
-        assert names(listed(by_nul)) == ["two\nlines ", "e"][: 2 - by_nul]
+        assert names(read_names(by_nul)) == ["two\nlines ", "e"][: 2 - by_nul]
 
 
 def test_results_are_not_searched_and_no_input_may_lie_among_them(here):

@@ -11,7 +11,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import failure
-from protochain.batches.naming import Wanted, named_apart, output_stem
+from protochain.batches.naming import NameRequest, assign_names, output_stem
 from protochain.batches.table import Tables, earlier_rows
 
 RELAX = BatchSettings(("relax",))
@@ -96,15 +96,15 @@ def test_one_file_with_several_settings_and_models():
     # One file under two paths is one job.
     assert names(["x.pdb", Path("x.pdb").absolute(), "./x.pdb"]) == ["x"]
     # What has one key under several paths has a name of its own all the same.
-    twice = [Wanted(Path("/in/x.pdb"), Path("/in"), None, "abc", ("relax",)) for _ in range(2)]
-    assert named_apart(twice) == ["x-abc-0", "x-abc-1"] and named_apart([]) == []
+    twice = [NameRequest(Path("/in/x.pdb"), Path("/in"), None, "abc", ("relax",)) for _ in range(2)]
+    assert assign_names(twice) == ["x-abc-0", "x-abc-1"] and assign_names([]) == []
 
 
 def resumed(inputs, output=Path("out"), settings=RELAX, **options):
     """Rows of a batch that goes on in a folder, without the work; names of what would be done."""
     jobs = find_jobs(inputs, settings, output=output, earlier=earlier_rows(output), **options)
     tables = Tables(output, True, methods=settings.methods)
-    done = tables.finished(jobs)
+    done = tables.select_finished(jobs)
     todo = [job for job in jobs if job.identity not in done]
     for job in todo:
         tables.append([failure(job, method, "refused", "why") for method in settings.methods])

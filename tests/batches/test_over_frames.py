@@ -21,7 +21,7 @@ import protochain as pc
 from protochain.batches import Processes, cluster
 from protochain.batches.frame_files import run_frames
 from protochain.batches.frame_report import _worst_first, write_report
-from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, begun, row_of
+from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, prepare_task, row_of
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
 from protochain.comparison.deviation import RmsdFrames
 from protochain.relaxation import RelaxSettings
@@ -94,7 +94,7 @@ def in_this_process(monkeypatch, fate):
             rows.append(row)
         return rows
 
-    begun.cache_clear()
+    prepare_task.cache_clear()
     monkeypatch.setattr(cluster, "supervise", supervise)
     return began
 

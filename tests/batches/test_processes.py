@@ -14,7 +14,7 @@ from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import batch_structures, cluster
-from protochain.batches.cluster import Processes, Workers, at_work
+from protochain.batches.cluster import Processes, Workers, open_workers
 from protochain.batches.jobs import BatchSettings, Job, Row
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
@@ -102,7 +102,7 @@ def dask(monkeypatch):
 def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, dask, monkeypatch):
     monkeypatch.setattr(cluster, "processors", lambda: cores)
     barrier = threading.Barrier(count, timeout=HANG)
-    with at_work(processes) as workers:
+    with open_workers(processes) as workers:
         assert (workers.count(), workers.dashboard) == (count, "")
         # It breaks, unless all are busy at a time.
         assert sorted(each.result() for each in [workers.submit(barrier.wait) for _ in range(count)]) == [
@@ -113,17 +113,17 @@ def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, 
 
 def test_without_dask_a_batch_here_runs_and_a_cluster_names_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with at_work(Processes(workers=1)) as workers:
+    with open_workers(Processes(workers=1)) as workers:
         assert workers.submit(len, "job").result() == 3
     remedy = r'^distributed .* pip install "protochain\[cluster\]"$'
-    with pytest.raises(pc.ProtochainError, match=remedy), at_work(Processes(scheduler="tcp://there:1")):
+    with pytest.raises(pc.ProtochainError, match=remedy), open_workers(Processes(scheduler="tcp://there:1")):
         pass
 
 
 @pytest.mark.parametrize("address", ["tcp://there:1", "tls://there:1"])
 def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
     dask.answers = [("one", OWN), ("two", OWN)]
-    with at_work(Processes(scheduler=address)) as workers:
+    with open_workers(Processes(scheduler=address)) as workers:
         assert (workers.count(), workers.dashboard) == (5, "http://there")
         assert workers.submit(len, "job") == ((len, "job"), False)
     (((given,), options), closed) = dask.made
@@ -131,7 +131,7 @@ def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
     assert (options["timeout"], options["set_as_default"]) == (10.0, False)
     assert (options["security"] is None) == address.startswith("tcp")
     dask.answers = [("one", OWN), ("two", "0.0.1")]
-    with pytest.raises(pc.ProtochainError) as refusal, at_work(Processes(scheduler=address)):
+    with pytest.raises(pc.ProtochainError) as refusal, open_workers(Processes(scheduler=address)):
         pass
     assert str(refusal.value) == (
         f"scheduler {address}: worker two has protochain 0.0.1, and here is {OWN}; "
@@ -142,7 +142,7 @@ def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
 @pytest.mark.parametrize("error", [OSError("no"), TypeError("no")])
 def test_a_cluster_that_does_not_answer_is_named(error, dask):
     dask.error = error
-    with pytest.raises(pc.ProtochainError) as refusal, at_work(Processes(scheduler="tcp://there:1")):
+    with pytest.raises(pc.ProtochainError) as refusal, open_workers(Processes(scheduler="tcp://there:1")):
         pass
     assert str(refusal.value) == "scheduler tcp://there:1: no cluster answers there: no"
 
@@ -204,7 +204,7 @@ class Ending:
 @pytest.fixture
 def tables(tmp_path):
     made = Tables(tmp_path, resume=False)
-    made.finished([])
+    made.select_finished([])
     yield made
     made.close()
 

@@ -60,7 +60,7 @@ def rows(job, status="refused", n_points=1):
 @pytest.fixture
 def tables(tmp_path):
     made = Tables(tmp_path / "new" / "out", resume=False)
-    made.finished([])
+    made.select_finished([])
     yield made
     made.close()
 
@@ -131,7 +131,7 @@ def test_resuming_keeps_whole_rows_of_the_same_input_with_their_traces(tables):
     tables.summary.write_text(header(COLUMNS) + "".join(summary) + line(three, "lbfgs")[:-5])
     traces = [point(job, "lbfgs") for job in (two, one, stranger, three)]
     tables.traces.write_text(header(TRACE_COLUMNS) + "".join(traces) + "one,lbfgs\n" + point(one, "kcm")[:-1])
-    assert tables.finished(JOBS) == {("one", "key-one")}
+    assert tables.select_finished(JOBS) == {("one", "key-one")}
     assert tables.summary.read_text() == header(COLUMNS) + "".join(summary[:2]) + summary[5]
     assert tables.traces.read_text() == header(TRACE_COLUMNS) + "".join(traces[1:3])
 
@@ -141,7 +141,7 @@ def test_what_circumstances_ended_is_done_again(status, tables):
     one = JOBS[0]
     tables.append([rows(one)[0], failure(one, "kcm", status, "why")])
     again = status in ("killed", "time-limit", "interrupted")
-    assert tables.finished([one]) == (set() if again else {one.identity})
+    assert tables.select_finished([one]) == (set() if again else {one.identity})
     assert len(runs(tables)) == (0 if again else 2) and len(steps(tables)) == (0 if again else 1)
 
 
@@ -150,7 +150,7 @@ def test_bytes_that_are_no_text_spoil_their_own_row_only(tables):
     tables.append(rows(one))
     with tables.summary.open("ab") as file:
         file.write(b"\xff\xfe,\n" + line(two, "kcm", message="caf\u00e9").encode("latin-1"))
-    assert tables.finished([one]) == {one.identity}
+    assert tables.select_finished([one]) == {one.identity}
     assert tables.read()["structure"].tolist() == ["one", "one", "two"]
 
 
@@ -179,7 +179,7 @@ def test_a_folder_or_table_of_something_else_is_refused(tmp_path):
     (tmp_path / "summary.csv").write_text("structure,method\na,b\n")
     other = Tables(tmp_path, resume=True)
     with pytest.raises(pc.ProtochainError) as refusal:
-        other.finished([])
+        other.select_finished([])
     assert str(refusal.value).startswith(f"{other.summary}: ")
     other.close()
 
@@ -187,7 +187,7 @@ def test_a_folder_or_table_of_something_else_is_refused(tmp_path):
 def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tmp_path):
     for gone in ("traces", "summary"):
         made = Tables(tmp_path / "new" / "out", resume=False)
-        made.finished([])
+        made.select_finished([])
         getattr(made, gone).unlink()
         made.abandon()
         made.close()
@@ -199,7 +199,7 @@ def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tm
 def test_a_refusal_leaves_a_table_of_another_kind_as_it_is(name, resume, tmp_path):
     """Which is replaced if that is asked for; and so does one that fails the traces of something else."""
     first = Tables(tmp_path, resume=False, name=name)
-    first.finished([])
+    first.select_finished([])
     first.append(rows(JOBS[0]))
     first.close()
     (tmp_path / "settings.json").write_text("{}")

@@ -18,7 +18,7 @@ from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child
 from protochain.batches.table import Tables
-from protochain.batches.task import thinned
+from protochain.batches.task import thin_trace
 from protochain.core.errors import WriteError
 from protochain.minimisers.minimise_structure import minimise
 
@@ -121,17 +121,18 @@ def test_a_page_that_cannot_be_written_is_told_and_made_again(tmp_path):
     assert str(page) in last.record["message"] and last.record["output"] == "job.cartesian.pdb"
     assert str(page) in batch_structures._line([last])
     tables = Tables(tmp_path, resume=False)
-    tables.finished([job])
+    tables.select_finished([job])
     tables.append([first, last])
-    assert not tables.finished([job])
+    assert not tables.select_finished([job])
     tables.close()
 
 
 def test_a_trace_is_thinned_to_fifty_points_with_both_ends():
     for n in (1, 2, 49, 50):
-        assert [row["iteration"] for row in thinned(pd.DataFrame({"iteration": range(n)}))] == list(range(n))
+        rows = thin_trace(pd.DataFrame({"iteration": range(n)}))
+        assert [row["iteration"] for row in rows] == list(range(n))
     for n in (51, 400, 5000):
-        places = [row["iteration"] for row in thinned(pd.DataFrame({"iteration": range(n), "e": 1.0}))]
+        places = [row["iteration"] for row in thin_trace(pd.DataFrame({"iteration": range(n), "e": 1.0}))]
         assert places[0] == 0 and places[-1] == n - 1 and 30 <= len(places) <= 50
         assert places == sorted(set(places)) and places[:4] == [0, 1, 2, 3]
         # Evenly in the logarithm: no gap is much wider than another.
@@ -192,8 +193,8 @@ class Ended(Child):
 
     def __init__(self, status, said, tmp_path):
         self.process = SimpleNamespace(wait=lambda: status)
-        self.said = (tmp_path / "said").open("w+b")
-        self.said.write(said)
+        self.stderr = (tmp_path / "said").open("w+b")
+        self.stderr.write(said)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +216,7 @@ class Ended(Child):
 def test_the_end_of_a_child_is_told(status, said, death, tmp_path):
     child = Ended(status, said, tmp_path)
     assert child._death() == death
-    child.said.close()
+    child.stderr.close()
 
 
 def test_what_a_child_says_is_listened_to_until_it_ends(tmp_path):
@@ -259,7 +260,7 @@ def counted(monkeypatch):
             return [len(made), time_limit]
 
     monkeypatch.setattr(supervise, "Child", Counted)
-    monkeypatch.setattr(supervise, "_here", threading.local())
+    monkeypatch.setattr(supervise, "_thread_state", threading.local())
     return made
 
 

@@ -17,7 +17,7 @@ import pytest
 from fixtures.samples import ROOT, STRUCTURES, chain, energy
 
 import protochain as pc
-from protochain.batches.naming import Earlier, Wanted, named_apart
+from protochain.batches.naming import Earlier, NameRequest, assign_names
 from protochain.batches.table import COLUMNS
 from protochain.batches.table import _whole_lines as whole_lines
 from protochain.core import interrupts, storage
@@ -181,11 +181,11 @@ def test_rows_that_lead_out_of_the_folder_are_no_rows(name, column, tmp_path):
 
 def test_a_name_that_is_not_utf8_is_found_in_the_table_again(tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff.pdb")
-    wanted = Wanted(path, tmp_path, None, "k", ("kcm",))
-    (name,) = named_apart([wanted])
+    wanted = NameRequest(path, tmp_path, None, "k", ("kcm",))
+    (name,) = assign_names([wanted])
     assert name.encode() == b"a\\udcff"
     row = Earlier(name, *wanted.source, "k", f"{name}.kcm.pdb")
-    assert named_apart([wanted], [row]) == [name]
+    assert assign_names([wanted], [row]) == [name]
 
 
 @pytest.mark.parametrize("ending", [".pdb", ".cif", ".pdb.gz"])

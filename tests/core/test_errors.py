@@ -127,7 +127,7 @@ def test_a_cluster_without_workers_says_so_and_goes_on_when_one_comes(monkeypatc
     with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as scheduler:
         address = scheduler.scheduler_address
         monkeypatch.setattr(caplog.handler, "emit", warned)
-        with cluster.at_work(cluster.Processes(scheduler=address)) as workers:
+        with cluster.open_workers(cluster.Processes(scheduler=address)) as workers:
             assert workers.count() > 0
     (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("protochain")]
     assert line.startswith(f"scheduler {address}: no workers after 0.2 s") and "dask worker" in line
