@@ -14,7 +14,7 @@ from protochain.core.checks import at_least, checked, optional, text
 from protochain.energies import Energy, as_energy
 from protochain.energies.factory import has_energy
 from protochain.energies.shared import shared_energy
-from protochain.relaxation.relax_settings import named, split
+from protochain.relaxation.relax_settings import fixed_options, split
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Frames, open_frames
@@ -117,7 +117,7 @@ def relax_frames(
     energy = None
     if has_energy(top):
         setup = setup if processes is None else replace(setup, threads=processes.threads)
-        arguments = named(relaxing, (*options, *(["threads"] if processes else [])))
+        arguments = fixed_options(relaxing, (*options, *(["threads"] if processes else [])))
         energy = setup.energy_of(top, ensemble.structure, arguments)
     return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup, energy), processes)
 

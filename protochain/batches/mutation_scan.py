@@ -16,7 +16,7 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import write_atomically
 from protochain.energies.decomposed import residues_of
-from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
+from protochain.relaxation.mutations import COLUMNS, mutate_at, mutation_label, protocol
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.result import Relaxation
 from protochain.results.run_folder import checkpoint_of, refuse_earlier
@@ -50,7 +50,7 @@ class SiteJob:
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
             try:
-                mutation = mutated(structure, names, relaxing, replace(setup, threads=threads), relaxations)
+                mutation = mutate_at(structure, names, relaxing, replace(setup, threads=threads), relaxations)
                 yield _site(structure, self.residue, letter) | mutation.record()
             except Exception as error:
                 yield _failed_row(structure, self.residue, letter, *reason(error))
@@ -71,7 +71,7 @@ def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
 
 
 def _failed_row(structure: Structure, r: int, letter: str, status: str, message: str) -> dict[str, Any]:
-    columns = {"structure": structure.name, "mutations": told(structure, r, LETTERS[letter])}
+    columns = {"structure": structure.name, "mutations": mutation_label(structure, r, LETTERS[letter])}
     empty = dict.fromkeys(column.key for column in COLUMNS)
     return _site(structure, r, letter) | empty | columns | {"status": status, "message": message}
 

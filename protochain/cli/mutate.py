@@ -70,7 +70,7 @@ def mutate(
     Side chains within 10 angstrom are rebuilt on rotamers and relaxed, in the structure itself too. The
     backbone stays. With --scan each residue is mutated by itself: a table, and a page with a heat map.
     """
-    from protochain.relaxation.mutations import PROTOCOL, mutated, places_of
+    from protochain.relaxation.mutations import PROTOCOL, mutate_at, places_of
 
     if (mutations is None) == (scan is None):
         conflict = ", not both" if scan else ""
@@ -93,7 +93,7 @@ def mutate(
     options.print_changes(source, structure)
     names = places_of(structure, mutations)
     origin = {"input": str(source), "output": str(output), "seconds_preparation": perf_counter() - began}
-    mutation = mutated(structure, names, relaxing, setup, {})
+    mutation = mutate_at(structure, names, relaxing, setup, {})
 
     if not mutation.mutant.is_usable:
         raise SystemExit(options.fail(f"{source}: {mutation.mutant.message}; nothing is written"))

@@ -45,12 +45,12 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
     at = Problems(structure, x)
-    n, beside = len(at.overlaps), at.n_beside
-    inverted = counted(len(at.inverted), "inverted stereocentre")
-    as_d = structure.mirrored[structure.atom_residue[at.inverted]].all()
+    n, beside = len(at.overlaps), at.n_hetero_overlaps
+    inverted = counted(len(at.inversions), "inverted stereocentre")
+    as_d = structure.mirrored[structure.atom_residue[at.inversions]].all()
     advice = "" if as_d else " (name D-amino acids as DAL ...)"
     rings = ["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []
-    inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inverted) else []
+    inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inversions) else []
     twisted = counted(len(at.peptides), "twisted peptide bond")
     duration = f"about {max(seconds, 1.0):.0f} s"
     stated = [

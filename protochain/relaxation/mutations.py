@@ -111,8 +111,8 @@ class Mutation(Value):
 
     def __repr__(self) -> str:
         ddg = "-" if self.ddg is None else f"{self.ddg:.1f} kJ/mol"
-        name, told = self.wild.start.name, ",".join(self.mutations)
-        return f"<Mutation {told} of {name}: {self.mutant.status}, ddG {ddg}>"
+        name, label = self.wild.start.name, ",".join(self.mutations)
+        return f"<Mutation {label} of {name}: {self.mutant.status}, ddG {ddg}>"
 
 
 _CLASHES = "clashscore_per_1000_atoms"
@@ -175,46 +175,46 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
     """
     relaxing, setup = protocol(options, source)
     structure = setup.load(source)
-    return mutated(structure, places_of(structure, mutations), relaxing, setup, {})
+    return mutate_at(structure, places_of(structure, mutations), relaxing, setup, {})
 
 
 def protocol(options: Mapping[str, Any], source: Any = None) -> tuple[RelaxSettings, Setup]:
     """Settings of both sides; a result brings those of its energy."""
     if "move" in options:
         raise ProtochainError("mutate has no option 'move': what is near moves")
-    its = source.energy_function.settings if has_energy(source) else {}
-    if has_energy(source) and not its and "forcefield" not in options:
+    base = source.energy_function.settings if has_energy(source) else {}
+    if has_energy(source) and not base and "forcefield" not in options:
         raise ProtochainError(
             "mutate: the energy of this result is of its own atoms; name a ", Argument("forcefield")
         )
-    return split({**PROTOCOL, **{name: its[name] for name in OF_ENERGY if name in its}, **options})
+    return split({**PROTOCOL, **{name: base[name] for name in OF_ENERGY if name in base}, **options})
 
 
 def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int, str]:
     """Names of the new residues by the index of the old, of mutations as ``A:L45F``."""
     chains, new_names = list(dict.fromkeys(structure.residue_chain.tolist())), dict[int, str]()
-    given = words_of(mutations, "mutations")
-    if not given:
+    texts = words_of(mutations, "mutations")
+    if not texts:
         raise ProtochainError("mutations: give some, as A:L45F,B:G10A")
-    for each in given:
-        read = _PLACE.fullmatch(each.upper() if ":" not in each else each)
-        if read is None or not {read[2], read[4]} <= LETTERS.keys():
-            raise ProtochainError(f"mutations: {each!r}: give chain, residue, number, new residue, as A:L45F")
-        if read[1] is None and len(chains) > 1:
-            raise ProtochainError(f"mutations: {each!r}: name its chain, of {', '.join(chains)}")
-        chain = chains[0] if read[1] is None else read[1]
-        (r, *_) = structure.atom_residue[atoms_at(structure, f"{chain}:{read[3]}")].tolist()
-        if STANDARD.get(str(structure.residue_name[r])) != read[2]:
-            raise StructureError(f"{structure.name}: {each}: there is {structure.describe_residue(r)}")
+    for text in texts:
+        match = _PLACE.fullmatch(text.upper() if ":" not in text else text)
+        if match is None or not {match[2], match[4]} <= LETTERS.keys():
+            raise ProtochainError(f"mutations: {text!r}: give chain, residue, number, new residue, as A:L45F")
+        if match[1] is None and len(chains) > 1:
+            raise ProtochainError(f"mutations: {text!r}: name its chain, of {', '.join(chains)}")
+        chain = chains[0] if match[1] is None else match[1]
+        (r, *_) = structure.atom_residue[atoms_at(structure, f"{chain}:{match[3]}")].tolist()
+        if STANDARD.get(str(structure.residue_name[r])) != match[2]:
+            raise StructureError(f"{structure.name}: {text}: there is {structure.describe_residue(r)}")
         if r in new_names:
-            raise ProtochainError(f"mutations: {each!r}: its residue is mutated twice")
-        new_names[r] = LETTERS[read[4]]
+            raise ProtochainError(f"mutations: {text!r}: its residue is mutated twice")
+        new_names[r] = LETTERS[match[4]]
     return new_names
 
 
-def mutated(
+def mutate_at(
     structure: Structure, names: Mapping[int, str], relaxing: RelaxSettings, setup: Setup,
-    known: dict[tuple[Any, ...], Relaxation],
+    results: dict[tuple[Any, ...], Relaxation],
 ) -> Mutation:  # fmt: skip
     """Return a mutant, whose residues are given by index; ``known`` has the sides of one site so far."""
     began = perf_counter()
@@ -225,31 +225,31 @@ def mutated(
     states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
     while True:
         built = (states, states | new)
-        sides = [substituted(structure, each, **setup.of_building) for each in built]
+        sides = [substituted(structure, residue_names, **setup.of_building) for residue_names in built]
         # A neighbour that would get another proton or a new bond stays as it is, on both sides.
         changed = {r for r in states if r not in names and any(_state(s, r) != states[r] for s in sides)}
         if not changed:
             break
         states = {r: states[r] for r in {*states} - changed}
     near = sorted({*states, *names})
-    keys = [(*near, *sorted(each.items())) for each in built]
+    keys = [(*near, *sorted(residue_names.items())) for residue_names in built]
     for key, side in zip(keys, sides, strict=True):
-        if key not in known:
-            known[key] = _settled(side, near, relaxing, setup)
-    wild, mutant = (known[key] for key in keys)
+        if key not in results:
+            results[key] = _relax(side, near, relaxing, setup)
+    wild, mutant = (results[key] for key in keys)
     unfolded = None if new else 0.0
-    of_sites = [[_state(each.start, r) for r in names] for each in (wild, mutant)]
+    of_sites = [[_state(end.start, r) for r in names] for end in (wild, mutant)]
     if new and all(map(all, of_sites)):
-        before, after = (sum(_unfolded(s, relaxing, setup) for s in each) for each in of_sites)
+        before, after = (sum(_unfolded_energy(s, relaxing, setup) for s in site) for site in of_sites)
         unfolded = after - before
-    named = tuple(told(structure, r, str(mutant.start.residue_name[r])) for r in names)
-    return Mutation(named, wild, mutant, unfolded, perf_counter() - began)
+    labels = tuple(mutation_label(structure, r, str(mutant.start.residue_name[r])) for r in names)
+    return Mutation(labels, wild, mutant, unfolded, perf_counter() - began)
 
 
-def told(structure: Structure, r: int, name: str) -> str:
+def mutation_label(structure: Structure, r: int, name: str) -> str:
     """A mutation as ``A:L45F``."""
-    its = structure.residue(r)
-    return f"{its.chain}:{STANDARD[str(structure.residue_name[r])]}{its.number}{STANDARD[name]}"
+    residue = structure.residue(r)
+    return f"{residue.chain}:{STANDARD[str(structure.residue_name[r])]}{residue.number}{STANDARD[name]}"
 
 
 def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
@@ -259,30 +259,30 @@ def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
     n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[complete].T]
     turn = np.where(structure.mirrored[complete], -1.0, 1.0) * _BETA[2]
     betas = placed(n, c, alpha, _BETA[0], _BETA[1], turn)
-    apart = KDTree(betas[np.isin(complete, residues)]).query(betas)[0]
-    return {r: state for r in complete[apart <= NEAR].tolist() if (state := _rebuildable(structure, r))}
+    distances = KDTree(betas[np.isin(complete, residues)]).query(betas)[0]
+    return {r: state for r in complete[distances <= NEAR].tolist() if (state := _rebuildable(structure, r))}
 
 
 def _rebuildable(structure: Structure, r: int) -> str:
     """State of a standard residue whose side chain has no bonds or ties to others; empty for the rest."""
-    name, state, of = structure.residue_name[r], _state(structure, r), structure.atom_residue
-    side = np.flatnonzero((of == r) & ~np.isin(structure.atom_name, _BACKBONE)).tolist()
+    name, state, residue_of = structure.residue_name[r], _state(structure, r), structure.atom_residue
+    side = np.flatnonzero((residue_of == r) & ~np.isin(structure.atom_name, _BACKBONE)).tolist()
     tied = {k for tie in structure.ties for k in tie.atoms}
-    if tied & {*side} or any(of[other] != r for k in side for other in structure.neighbours[k]):
+    if tied & {*side} or any(residue_of[atom] != r for k in side for atom in structure.neighbours[k]):
         return ""
     # Protonation states of D-amino acids have no names.
     names = {name, state} if structure.mirrored[r] else {name}
     return state if names <= STANDARD.keys() else ""
 
 
-def _settled(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
+def _relax(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
     """Side chains of residues in their best rotamers and relaxed; the backbone and all others stay."""
-    move = _selected(structure, near)
+    move = _select_side_chains(structure, near)
     energy = setup.energy(structure, shared_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
 
 
-def _selected(structure: Structure, residues: Sequence[int]) -> str:
+def _select_side_chains(structure: Structure, residues: Sequence[int]) -> str:
     """Selection of the side chains and the hydrogens of residues."""
     of_backbone = np.isin(structure.atom_name, _BACKBONE)
     atoms = np.flatnonzero(np.isin(structure.atom_residue, residues) & ~of_backbone)
@@ -299,7 +299,7 @@ def _state(structure: Structure, r: int) -> str:
 
 
 @lru_cache(maxsize=64)
-def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
+def _unfolded_energy(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue within GGXGG by the same protocol: it stands for the unfolded chain, kJ/mol."""
-    made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    return _settled(made, [2], replace(relaxing, interface=""), setup).energy_end
+    peptide = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
+    return _relax(peptide, [2], replace(relaxing, interface=""), setup).energy_end

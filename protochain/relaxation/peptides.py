@@ -45,9 +45,9 @@ class PeptideBonds:
         bonds, amino = omegas(structure), layout(structure)
         before, after = amino.atoms("CA", "C")[amino.before], amino.atoms("N", "CA")
         atoms = np.hstack([before, after])[bonds.residue]
-        apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
+        distance = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
         nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
-        return PeptideBonds(atoms, (bonds.cis | nearer) & (apart < _NEAR))
+        return PeptideBonds(atoms, (bonds.cis | nearer) & (distance < _NEAR))
 
     def away(self, x: Floats) -> Floats:
         """Angles (n,) from the form that each bond should have, degrees, at positions x (na, 3), nm."""
@@ -56,11 +56,11 @@ class PeptideBonds:
     def _away(self, angles: Floats) -> Floats:
         return np.where(self.cis, np.abs(angles), 180.0 - np.abs(angles))
 
-    def wrong(self, x: Floats) -> Integers:
+    def twisted_bonds(self, x: Floats) -> Integers:
         """(n,) int: nitrogens of the bonds that are twisted, or cis for trans, or trans for cis."""
         return self.atoms[self.away(x) > PLANAR, 2]
 
-    def reversed(self, x: Floats) -> Integers:
+    def reversed_bonds(self, x: Floats) -> Integers:
         """(n,) int: nitrogens of the twisted bonds that are nearer to the other form, beyond a barrier."""
         return self.atoms[self.away(x) > PERPENDICULAR, 2]
 

@@ -32,22 +32,22 @@ class Planes:
         neighbours = structure.neighbours
         three = np.array([len(bonded) == 3 for bonded in neighbours]) & ~structure.obstacle
         carbon = three & (structure.atom_element == "C")
-        beside = np.array([any(carbon[i] for i in bonded) for bonded in neighbours])
-        planar = carbon | (three & (structure.atom_element == "N") & beside)
+        next_to_carbon = np.array([any(carbon[i] for i in bonded) for bonded in neighbours])
+        planar = carbon | (three & (structure.atom_element == "N") & next_to_carbon)
         rows = [(centre, *sorted(neighbours[centre])) for centre in np.flatnonzero(planar).tolist()]
         return Planes(np.array(rows, dtype=np.int64).reshape(-1, 4))
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
         forces = np.zeros_like(x)
-        ways = x[self.atoms[:, 1:]] - x[self.atoms[:, :1]]
-        length = np.linalg.norm(ways, axis=2, keepdims=True)
-        units = ways / np.maximum(length, 1e-6)
-        together = units.sum(axis=1)
-        beyond = np.maximum((together**2).sum(axis=1) - _UNUSUAL, 0.0)
+        vectors = x[self.atoms[:, 1:]] - x[self.atoms[:, :1]]
+        length = np.linalg.norm(vectors, axis=2, keepdims=True)
+        units = vectors / np.maximum(length, 1e-6)
+        total = units.sum(axis=1)
+        beyond = np.maximum((total**2).sum(axis=1) - _UNUSUAL, 0.0)
         far = beyond > 0.0
-        units, length, together = units[far], length[far], together[far, None]
-        across = together - units * (units * together).sum(axis=2, keepdims=True)
+        units, length, total = units[far], length[far], total[far, None]
+        across = total - units * (units * total).sum(axis=2, keepdims=True)
         pull = -2.0 * _STIFFNESS * beyond[far, None, None] * across / np.maximum(length, 1e-6)
         np.add.at(forces, self.atoms[far, 1:], pull)
         np.subtract.at(forces, self.atoms[far, 0], pull.sum(axis=1))

@@ -69,7 +69,7 @@ _TABLE = (
     ),
 )  # fmt: skip
 
-PRESETS: Mapping[str, Preset] = MappingProxyType({each.name: each for each in _TABLE})
+PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _TABLE})
 
 _PROTOCOLS = (
     Preset(
@@ -80,5 +80,5 @@ _PROTOCOLS = (
     ),
 )  # fmt: skip
 
-PROTOCOLS: Mapping[str, Preset] = MappingProxyType({each.name: each for each in _PROTOCOLS})
+PROTOCOLS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _PROTOCOLS})
 """Relaxations of other programs, to compare like with like."""

@@ -29,10 +29,10 @@ class Problems:
         return overlapping(self.structure, self.x)[0]
 
     @property
-    def n_beside(self) -> int:
+    def n_hetero_overlaps(self) -> int:
         """Number of overlapping pairs of an atom of the protein and an atom of a hetero molecule."""
-        kept = self.structure.kept[self.overlaps]
-        return int((kept[:, 0] != kept[:, 1]).sum())
+        is_hetero = self.structure.kept[self.overlaps]
+        return int((is_hetero[:, 0] != is_hetero[:, 1]).sum())
 
     @cached_property
     def rings(self) -> list[ThreadedRing]:
@@ -40,19 +40,19 @@ class Problems:
         return threaded_rings(self.structure, self.x)
 
     @cached_property
-    def inverted(self) -> Integers:
+    def inversions(self) -> Integers:
         """(n,) int: inverted stereocentres."""
         return ChiralityRestraint.of(self.structure).wrong(self.x)
 
     @cached_property
     def peptides(self) -> Integers:
         """(n,) int: nitrogens of twisted peptide bonds."""
-        return PeptideBonds.of(self.structure).wrong(self.x)
+        return PeptideBonds.of(self.structure).twisted_bonds(self.x)
 
     @cached_property
-    def reversed(self) -> Integers:
+    def reversed_peptides(self) -> Integers:
         """(n,) int: nitrogens of the twisted peptide bonds that are nearer to the other form."""
-        return PeptideBonds.of(self.structure).reversed(self.x)
+        return PeptideBonds.of(self.structure).reversed_bonds(self.x)
 
     @cached_property
     def violations(self) -> Violations:
@@ -66,21 +66,21 @@ class Problems:
     def mendable(self) -> NDArray[np.bool_]:
         """(nr,) bool: residues with violations, except violations of absent bonds at chain breaks only."""
         structure, outliers = self.structure, self.violations
-        n, of = structure.n_atoms, structure.atom_residue
+        n, residue_of = structure.n_atoms, structure.atom_residue
         bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
         at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
         joints = (outliers.bonds, (0, 1)), (outliers.angles_ca_c_n, (1, 2)), (outliers.angles_c_n_ca, (0, 1))
         for atoms, ends in joints:
             is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
-            at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
+            at_breaks[residue_of[atoms[~is_bond]]] = elsewhere[residue_of[atoms[is_bond]]] = True
         for atoms in (outliers.clashes, outliers.within, outliers.covalent):
-            elsewhere[of[atoms]] = True
+            elsewhere[residue_of[atoms]] = True
         return np.asarray(outliers.per_residue & ~(at_breaks & ~elsewhere))
 
     def residues(self, planar: bool) -> NDArray[np.bool_]:
         """(nr,) bool: residues with problems to mend, with twisted peptide bonds if ``planar``."""
-        wrong, of = self.mendable(), self.structure.atom_residue
-        wrong[self.of_rings()] = True
-        for atoms in (self.overlaps, self.inverted, *([self.peptides] if planar else [])):
-            wrong[of[atoms]] = True
-        return wrong
+        has_problem, residue_of = self.mendable(), self.structure.atom_residue
+        has_problem[self.of_rings()] = True
+        for atoms in (self.overlaps, self.inversions, *([self.peptides] if planar else [])):
+            has_problem[residue_of[atoms]] = True
+        return has_problem

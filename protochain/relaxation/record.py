@@ -40,10 +40,10 @@ COLUMNS = (
     *columns.of_measures(MEASURES, "end"),
     *columns.of_remains(REMAINS),
     *columns.of_restraints(RestraintValue),
-    Column("overlaps_start", lambda r: len(r.wrong_start.overlaps), kind=int),
+    Column("overlaps_start", lambda r: len(r.problems_start.overlaps), kind=int),
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps, kind=int),
-    Column("overlaps_beside_start", lambda r: r.wrong_start.n_beside, kind=int),
-    Column("overlaps_beside_end", lambda r: r.wrong_end.n_beside, kind=int),
+    Column("overlaps_beside_start", lambda r: r.problems_start.n_hetero_overlaps, kind=int),
+    Column("overlaps_beside_end", lambda r: r.problems_end.n_hetero_overlaps, kind=int),
     Column("ligand_strain_start_kj_mol", lambda r: _strain(r.ligands_start)),
     Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
     Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end, r.ligand_motion))),
@@ -104,8 +104,8 @@ def interface_column(key: str, when: str) -> str:
     return f"interface_{key.removesuffix(ending)}_{when}{ending}"
 
 
-def _score(key: str, when: str, of: Any) -> Any:
-    return getattr(of, f"interface_{when}").scores[key]
+def _score(key: str, when: str, relaxation: Any) -> Any:
+    return getattr(relaxation, f"interface_{when}").scores[key]
 
 
 INTERFACE_COLUMNS = (
@@ -139,30 +139,30 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append((ENERGY, record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
-    stated = [(what, _said(before), _said(after)) for what, before, after in rows]
+    texts = [(label, _format(before), _format(after)) for label, before, after in rows]
     if "interface" in record:
-        for key in _TOLD:
-            before, after = (_exactly(record[interface_column(key, when)]) for when in ("start", "end"))
-            stated.append((f"interface {record['interface']}: {heading(key)}", before, after))
-    return stated
+        for key in _COMPARED_SCORES:
+            before, after = (_format_score(record[interface_column(key, when)]) for when in ("start", "end"))
+            texts.append((f"interface {record['interface']}: {heading(key)}", before, after))
+    return texts
 
 
-_TOLD = (
+_COMPARED_SCORES = (
     "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity", "hydrogen_bonds", "salt_bridges",
     "unsatisfied_polar_atoms", "clashes",
 )  # fmt: skip
 """Scores of an interface that are compared in words."""
 
 
-def _exactly(value: Any) -> str:
-    return f"{value:.2f}" if isinstance(value, float) and abs(value) < 10.0 else _said(value)
+def _format_score(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) and abs(value) < 10.0 else _format(value)
 
 
-def _said(value: Any) -> str:
+def _format(value: Any) -> str:
     if not isinstance(value, float):
         return "-" if value is None else str(value)
-    return f"{value:.3g}" if abs(value) >= _LARGE else f"{value:.1f}"
+    return f"{value:.3g}" if abs(value) >= _LARGE_VALUE else f"{value:.1f}"
 
 
-_LARGE = 1e7
+_LARGE_VALUE = 1e7
 """Numbers from which on are written with an exponent: energies of overlapping atoms."""

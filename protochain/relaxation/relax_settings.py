@@ -140,37 +140,37 @@ class RelaxSettings(Settings):
             preset = replace(preset, backbone=backbone, side_chains=side_chains)
         return preset
 
-    def setup(self, given: Setup) -> Setup:
+    def setup(self, base: Setup) -> Setup:
         """Return a setup with the force field and solvent of the protocol, and the side chains to build."""
         strength = self.strength
         for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
-            asked, fixed = getattr(given, name), getattr(strength, name)
-            if fixed and asked not in (usual, fixed):
+            value, fixed = getattr(base, name), getattr(strength, name)
+            if fixed and value not in (usual, fixed):
                 raise ProtochainError(
                     Argument(name),
-                    f" {asked}: ",
+                    f" {value}: ",
                     Argument("protocol"),
                     f" {self.protocol} is {fixed}; leave one of them out",
                 )
         return replace(
-            given, forcefield=strength.forcefield or given.forcefield,
-            solvent=strength.solvent or given.solvent,
-            rebuild_side_chains=self.rebuild_side_chains or given.rebuild_side_chains,
-            sequence=self.sequence or given.sequence,
+            base, forcefield=strength.forcefield or base.forcefield,
+            solvent=strength.solvent or base.solvent,
+            rebuild_side_chains=self.rebuild_side_chains or base.rebuild_side_chains,
+            sequence=self.sequence or base.sequence,
         )  # fmt: skip
 
 
-NAMES = tuple(each.name for each in fields(RelaxSettings))
+NAMES = tuple(field.name for field in fields(RelaxSettings))
 
 
-def named(relaxing: RelaxSettings, options: Iterable[str]) -> set[str]:
+def fixed_options(relaxing: RelaxSettings, options: Iterable[str]) -> set[str]:
     """Names of settings that are given: by options, or by the protocol."""
     return {*options, *(name for name in ("forcefield", "solvent") if getattr(relaxing.strength, name))}
 
 
 def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
     """Split options into the settings of a relaxation and those of a setup."""
-    of_setup = tuple(each.name for each in fields(Setup) if each.name not in WITHOUT)
+    of_setup = tuple(field.name for field in fields(Setup) if field.name not in WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
         raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")

@@ -31,9 +31,9 @@ from protochain.minimisers.verdict import Status, rejected, verdict
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.problems import Problems
-from protochain.relaxation.relax_settings import RelaxSettings, named, split
+from protochain.relaxation.relax_settings import RelaxSettings, fixed_options, split
 from protochain.relaxation.result import Relaxation
-from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
+from protochain.relaxation.rounds import Relaxer, RoundEnd, best_round
 from protochain.structure import Structure
 from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
@@ -94,7 +94,7 @@ def relax(
     relaxing, setup = split({"preset": preset, **moved_of(source), **options})
     with timed():
         structure = setup.load(source)
-        energy = setup.energy_of(source, structure, named(relaxing, options))
+        energy = setup.energy_of(source, structure, fixed_options(relaxing, options))
         return relax_structure(structure, energy, relaxing, watch, setup.move)
 
 
@@ -115,46 +115,46 @@ def relax_structure(
         sides_named(structure, settings.interface)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
-    excluded, strength = _excluded(structure, settings), settings.strength
+    excluded, strength = _unrestrained_residues(structure, settings), settings.strength
     of_ligands = np.zeros(structure.n_atoms, dtype=bool)
-    of_ligands[[k for each in structure.ligands for k in each.atoms]] = True
+    of_ligands[[k for ligand in structure.ligands for k in ligand.atoms]] = True
     if not mobile[~of_ligands].any():
         # In a rigid protein nothing but the pose can give way: springs to it would hold its overlaps.
         excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
     check_dihedrals(energy, "relax")
     energy = begun(energy, structure.positions)
-    first = _repacked(structure, energy, mobile, settings)
+    first = _repack(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    known: Any = Known(energy)
-    own = settings.restraints
-    held = (Restraints.of(first, own),) if own else ()
-    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile, held)
+    judged: Any = Known(energy)
+    restraint_list = settings.restraints
+    user_restraints = (Restraints.of(first, restraint_list),) if restraint_list else ()
+    relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, mobile, user_restraints)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
-        done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
+        ends = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
     seconds = perf_counter() - trace.began
-    end = fewest_left(done)
+    end = best_round(ends)
     frame = Frame(structure, held_by)
-    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any() or held
-    value, forces = known.judged(end.x)
+    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any() or user_restraints
+    value, forces = judged.judged(end.x)
     space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
     force = space.residual(space.torque(space.place(space.start(end.x)), total))
-    restraint_values = held[0].measure(end.x) if held else ()
-    status, message = _verdict(structure, known, settings, end, force, restraint_values)
+    restraint_values = user_restraints[0].measure(end.x) if user_restraints else ()
+    status, message = _verdict(structure, judged, settings, end, force, restraint_values)
     return Relaxation(
         start=structure,
         turned=first.repairs[len(structure.repairs) :],
         x=frame(end.x),
         settings=settings,
         energy_function=energy,
-        rounds=tuple(each.round for each in done),
-        best=done.index(end),
+        rounds=tuple(round_end.round for round_end in ends),
+        best=ends.index(end),
         status=status,
         message=message,
-        energy_start=known.judged(structure.positions, first=True)[0],
+        energy_start=judged.judged(structure.positions, first=True)[0],
         energy_end=value,
         rms_force=force,
-        judge=known.judge,
+        judge=judged.judge,
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
@@ -177,12 +177,12 @@ class _Trace:
 
     def __init__(self, watch: Watcher | None) -> None:
         self.watch, self.began = watch, perf_counter()
-        self.tell = getattr(watch, "at_stage", None)
+        self.report_stage = getattr(watch, "at_stage", None)
         self.rows: list[tuple[float, ...]] = []
 
     def __call__(self, stage: Stage, at: Evaluation, evaluations: int) -> None:
-        if self.tell:
-            self.tell(stage.name, evaluations)
+        if self.report_stage:
+            self.report_stage(stage.name, evaluations)
         if not stage.recorded:
             return
         energy = at.energy - at.restraint
@@ -192,14 +192,14 @@ class _Trace:
             self.watch(row, at.x)
 
 
-def _excluded(structure: Structure, settings: RelaxSettings) -> NDArray[np.bool_]:
+def _unrestrained_residues(structure: Structure, settings: RelaxSettings) -> NDArray[np.bool_]:
     """(nr,) bool: residues without springs: with an atom in the selection, and ligands if they are free."""
     free = np.zeros(structure.n_residues, dtype=bool)
     if settings.exclude:
         free[structure.atom_residue[select(structure, settings.exclude)]] = True
     if settings.free_ligands:
-        for each in structure.ligands:
-            free[structure.atom_residue[each.atoms]] = True
+        for ligand in structure.ligands:
+            free[structure.atom_residue[ligand.atoms]] = True
     return free
 
 
@@ -209,67 +209,67 @@ def _held_by(mobile: NDArray[np.bool_], settings: RelaxSettings) -> str:
     return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
 
 
-def _repacked(
+def _repack(
     structure: Structure, energy: Energy, mobile: NDArray[np.bool_], settings: RelaxSettings
 ) -> Structure:
     """The structure with side chains of a region, or that are in the way of others, in other rotamers."""
     if not (settings.repack or settings.repack_region):
         return structure
-    from protochain.relaxation.repack import repacked
+    from protochain.relaxation.repack import repack_side_chains
 
     region = None
     if settings.repack_region:
         region = np.unique(structure.atom_residue[select(structure, settings.repack_region)]).tolist()
-    return repacked(structure, region, energy=energy, moving=mobile)
+    return repack_side_chains(structure, region, energy=energy, moving=mobile)
 
 
 def _verdict(
-    structure: Structure, known: Known, settings: RelaxSettings, end: Ended, force: float,
+    structure: Structure, energy: Known, settings: RelaxSettings, end: RoundEnd, force: float,
     restraint_values: tuple[RestraintValue, ...],
 ) -> tuple[Status, str]:  # fmt: skip
     tolerance = settings.strength.tolerance
     springs = ", springs included" if end.springs.weight.any() else ""
-    measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {known.judge}"
+    measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {energy.judge}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
-    at = end.wrong
-    broken = int((at.violations.per_residue & ~at.mendable()).sum())
+    problems = end.problems
+    broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
     where = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += where if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
-        inverted=_spoiled(at), isomerised=_bonds_before(at, _lost(at)),
-        left=[*left_in_words(at), *describe_violations(restraint_values)],
+        inverted=_newly_inverted(problems), isomerised=_bonds_before(problems, _newly_reversed(problems)),
+        left=[*describe_problems(problems), *describe_violations(restraint_values)],
     )  # fmt: skip
 
 
-def _spoiled(at: Problems) -> list[str]:
+def _newly_inverted(problems: Problems) -> list[str]:
     """Stereocentres that were right and are inverted now; that others became right is as it should be."""
-    s = at.structure
-    return atoms_named(s, np.setdiff1d(at.inverted, ChiralityRestraint.of(s).wrong(s.positions)))
+    s = problems.structure
+    return atoms_named(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).wrong(s.positions)))
 
 
-def _lost(at: Problems) -> Integers:
+def _newly_reversed(problems: Problems) -> Integers:
     """Nitrogens of peptide bonds that had the form that they should have, and have the other."""
-    s = at.structure
-    return np.setdiff1d(at.reversed, PeptideBonds.of(s).wrong(s.positions))
+    s = problems.structure
+    return np.setdiff1d(problems.reversed_peptides, PeptideBonds.of(s).twisted_bonds(s.positions))
 
 
-def _bonds_before(at: Problems, nitrogens: Integers) -> list[str]:
-    s = at.structure
-    return bonds_named(s, at.x, s.positions, s.atom_residue[nitrogens])
+def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
+    s = problems.structure
+    return bonds_named(s, problems.x, s.positions, s.atom_residue[nitrogens])
 
 
-def left_in_words(at: Problems) -> list[str]:
+def describe_problems(problems: Problems) -> list[str]:
     """What is left to mend, by name."""
-    others = rejected(at.structure, at.x)
-    others += [listed([*map(str, at.rings)], 2)] if at.rings else []
-    twisted = _bonds_before(at, np.setdiff1d(at.peptides, _lost(at)))
-    others += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []
+    lines = rejected(problems.structure, problems.x)
+    lines += [listed([*map(str, problems.rings)], 2)] if problems.rings else []
+    twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
+    lines += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []
     # A break of the chain is no fault of the model: it is cropped, and its numbers may run on.
-    residues = np.flatnonzero(at.mendable()).tolist()
+    residues = np.flatnonzero(problems.mendable()).tolist()
     if not residues:
-        return others
-    named = listed([at.structure.describe_residue(residue) for residue in residues], _NAMED)
+        return lines
+    names = listed([problems.structure.describe_residue(residue) for residue in residues], _NAMED)
     left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
-    return [*others, f"{left}: {named}"]
+    return [*lines, f"{left}: {names}"]

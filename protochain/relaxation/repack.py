@@ -31,7 +31,7 @@ _ROUNDS = 3
 """With the residues that are still in the way, as often."""
 
 
-def repacked(
+def repack_side_chains(
     structure: Structure,
     residues: Iterable[int] | None = None,
     *,
@@ -45,37 +45,37 @@ def repacked(
     them and with all that stays, softened as is usual for rigid rotamers. moving (na,) bool.
     Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
-    chosen = troubled(structure) if residues is None else _checked(structure, residues)
-    x, noted = structure.positions, tuple[Repair, ...]()
+    chosen = conflicting_residues(structure) if residues is None else _check_residues(structure, residues)
+    x, repairs = structure.positions, tuple[Repair, ...]()
     terms = None
     for _ in range(_ROUNDS):
         turning = rotamers_of(structure, structure.positions, chosen.tolist(), moving)
         if not turning:
             return structure
         terms = terms or _terms(structure, energy)
-        x, noted = _settled(structure, terms, turning)
-        more = np.union1d(chosen, _in_the_way(structure, x, chosen))
-        if residues is not None or len(more) == len(chosen):
+        x, repairs = _assign_rotamers(structure, terms, turning)
+        extended = np.union1d(chosen, _in_the_way(structure, x, chosen))
+        if residues is not None or len(extended) == len(chosen):
             break
-        chosen = more
-    return replace(structure, positions=x, repairs=(*structure.repairs, *noted)) if noted else structure
+        chosen = extended
+    return replace(structure, positions=x, repairs=(*structure.repairs, *repairs)) if repairs else structure
 
 
-def troubled(structure: Structure) -> Integers:
+def conflicting_residues(structure: Structure) -> Integers:
     """Residues (n,) whose side chain overlaps, clashes, is too near, threads a ring, or is on no rotamer."""
     x = structure.positions
-    found = violations(structure, x)
+    outliers = violations(structure, x)
     crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
     threaded = [(*ring.atoms, *ring.bond) for ring in threaded_rings(structure, x)]
     atoms = np.concatenate(
-        [pairs.ravel() for pairs in (*crowded, found.clashes, found.within)]
-        + [np.array(each, dtype=np.int64) for each in threaded]
+        [pairs.ravel() for pairs in (*crowded, outliers.clashes, outliers.within)]
+        + [np.array(ring_atoms, dtype=np.int64) for ring_atoms in threaded]
     )
     turning = atoms[~np.isin(structure.atom_name[atoms], _STAYING) & ~structure.kept[atoms]]
     return np.union1d(structure.atom_residue[turning], side_chains(structure, x).outliers)
 
 
-def _checked(structure: Structure, residues: Iterable[int]) -> Integers:
+def _check_residues(structure: Structure, residues: Iterable[int]) -> Integers:
     chosen = np.unique(np.array([int(residue) for residue in residues], dtype=np.int64))
     strange = chosen[(chosen < 0) | (chosen >= structure.n_residues)]
     if len(strange):
@@ -86,27 +86,27 @@ def _checked(structure: Structure, residues: Iterable[int]) -> Integers:
     return chosen
 
 
-def _terms(structure: Structure, given: Energy | None) -> Terms:
+def _terms(structure: Structure, energy: Energy | None) -> Terms:
     """Terms of an energy, or of the default force field where that has none that can be taken apart."""
-    terms = terms_of(given)
+    terms = terms_of(energy)
     return terms or compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
 
 
-def _settled(
+def _assign_rotamers(
     structure: Structure, terms: Terms, turning: list[Rotamers]
 ) -> tuple[Floats, tuple[Repair, ...]]:
     """Positions with the best rotamers, and what was turned."""
     x = np.array(structure.positions)
-    felt = Interactions(terms, structure.positions, turning)
-    found = best([felt.own(i) for i in range(len(turning))], felt.pairs())
-    noted = []
-    for side_chain, state in zip(turning, found.states.tolist(), strict=True):
+    interactions = Interactions(terms, structure.positions, turning)
+    assignment = best([interactions.self_energies(i) for i in range(len(turning))], interactions.pairs())
+    repairs = []
+    for side_chain, state in zip(turning, assignment.states.tolist(), strict=True):
         if state:
             x[side_chain.atoms] = side_chain.x[state]
-            noted.append(side_chain.repair(state, structure.residue(side_chain.residue)))
-    if noted and not found.is_proven:
-        noted.append(Repair(Kind.NOT_PROVEN))
-    return x, tuple(noted)
+            repairs.append(side_chain.repair(state, structure.residue(side_chain.residue)))
+    if repairs and not assignment.is_proven:
+        repairs.append(Repair(Kind.NOT_PROVEN))
+    return x, tuple(repairs)
 
 
 def _in_the_way(structure: Structure, x: Floats, chosen: Integers) -> Integers:

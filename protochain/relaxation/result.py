@@ -118,21 +118,21 @@ class Relaxation(RunEnds):
         return replace(self.start, positions=self.x, repairs=noted)
 
     @cached_property
-    def wrong_start(self) -> Problems:
+    def problems_start(self) -> Problems:
         """What is to be mended at the start."""
         return Problems(self.start, self.start.positions)
 
     @cached_property
-    def wrong_end(self) -> Problems:
+    def problems_end(self) -> Problems:
         """What is left of it at the end."""
         return Problems(self.start, self.x)
 
     @cached_property
     def stereocentres_corrected(self) -> tuple[Repair, ...]:
         """Stereocentres that were inverted, and are right at the end."""
-        s, right = self.start, np.setdiff1d(self.wrong_start.inverted, self.wrong_end.inverted)
-        residues = s.atom_residue[right]
-        names = {residue: s.atom_name[right[residues == residue]] for residue in np.unique(residues).tolist()}
+        s, index = (self.start, np.setdiff1d(self.problems_start.inversions, self.problems_end.inversions))
+        residues = s.atom_residue[index]
+        names = {residue: s.atom_name[index[residues == residue]] for residue in np.unique(residues).tolist()}
         return tuple(
             Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*atoms.tolist(),)})
             for residue, atoms in names.items()
@@ -142,10 +142,10 @@ class Relaxation(RunEnds):
     def peptides_turned(self) -> tuple[Repair, ...]:
         """Peptide bonds that were twisted, and are trans or cis at the end."""
         s, bonds = self.start, PeptideBonds.of(self.start)
-        right = np.setdiff1d(self.wrong_start.peptides, self.wrong_end.peptides)
+        mended = np.setdiff1d(self.problems_start.peptides, self.problems_end.peptides)
         return tuple(
             Repair(Kind.TURNED_CIS if cis else Kind.TURNED_TRANS, {"residue": s.residue(residue)})
-            for nitrogen, cis in zip(bonds.atoms[:, 2], bonds.cis, strict=True) if nitrogen in right
+            for nitrogen, cis in zip(bonds.atoms[:, 2], bonds.cis, strict=True) if nitrogen in mended
             for residue in s.atom_residue[[nitrogen]].tolist()
         )  # fmt: skip
 
@@ -171,14 +171,14 @@ class Relaxation(RunEnds):
     @cached_property
     def interface_start(self) -> Interface | None:
         """Scores of the interface that the settings name, at the start; None if they name none."""
-        return self._scored(self.start)
+        return self._score_interface(self.start)
 
     @cached_property
     def interface_end(self) -> Interface | None:
         """Scores of the interface at the end."""
-        return self._scored(self.structure)
+        return self._score_interface(self.structure)
 
-    def _scored(self, structure: Structure) -> Interface | None:
+    def _score_interface(self, structure: Structure) -> Interface | None:
         if not self.settings.interface:
             return None
         pair = sides_named(structure, self.settings.interface)
@@ -248,7 +248,7 @@ class Relaxation(RunEnds):
 
     def _repr_html_(self) -> str:
         start, end = self.measures_start, self.measures_end
-        rows = {MEASURES[key].what: f"{_said(start[key])} to {_said(end[key])}" for key in MEASURES}
+        rows = {MEASURES[key].what: f"{_format(start[key])} to {_format(end[key])}" for key in MEASURES}
         return facts(
             f"{self.start.name} relaxed",
             {
@@ -269,5 +269,5 @@ class Relaxation(RunEnds):
         )
 
 
-def _said(value: Any) -> str:
+def _format(value: Any) -> str:
     return "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -50,73 +50,73 @@ class Interactions:
         self.terms, self.x, self.rotamers = terms, x, rotamers
         scale = _SOFT**6
         self._a12, self._b6 = terms.nonbonded.a12 * scale**2, terms.nonbonded.b6 * scale
-        self._exceptions = _by_atom(terms.nonbonded.exceptions)
+        self._exceptions = _exceptions_by_atom(terms.nonbonded.exceptions)
         turning = np.zeros(terms.n_atoms, dtype=bool)
-        for each in rotamers:
-            turning[each.atoms] = True
+        for side_chain in rotamers:
+            turning[side_chain.atoms] = True
         self._still = np.flatnonzero(~turning)
         self._tree = KDTree(x[self._still])
         torsions = terms.bonded["torsions"]
-        felt = turning[torsions.atoms].any(axis=1)
-        self._torsions = Bonded(torsions.atoms[felt], torsions.parameters[felt])
+        turns = turning[torsions.atoms].any(axis=1)
+        self._torsions = Bonded(torsions.atoms[turns], torsions.parameters[turns])
 
-    def own(self, i: int) -> Floats:
+    def self_energies(self, i: int) -> Floats:
         """(n_i,) float, kJ/mol: rarity, torsions, and energy with itself and with all that stays."""
-        its = self.rotamers[i]
-        centre, reach = sphere(its.x)
+        site = self.rotamers[i]
+        centre, reach = sphere(site.x)
         near = self._still[np.sort(self._tree.query_ball_point(centre, reach + _CUTOFF))]
-        around = self._between(its.atoms, near)
-        within = self._between(its.atoms, its.atoms)
-        felt = _table(its.x, self.x[near][None], around.a12, around.b6, around.charges, around.linear)[:, 0]
-        inside = _inside(its.x, within.a12, within.b6, within.charges, within.linear)
-        return np.asarray(its.cost + self._twisted(its) + felt + inside)
+        around = self._pair_parameters(site.atoms, near)
+        within = self._pair_parameters(site.atoms, site.atoms)
+        outer = _table(site.x, self.x[near][None], around.a12, around.b6, around.charges, around.linear)[:, 0]
+        inside = _inside(site.x, within.a12, within.b6, within.charges, within.linear)
+        return np.asarray(site.cost + self._torsion_energies(site) + outer + inside)
 
     def pairs(self) -> Pairs:
         """(n_i, n_j) float, kJ/mol: energies between the rotamers of all sites i < j that may touch."""
-        found = {}
-        for i, j in touching([each.x for each in self.rotamers], _CUTOFF):
-            one, other = self.rotamers[i], self.rotamers[j]
-            its = self._between(one.atoms, other.atoms)
-            table = _table(one.x, other.x, its.a12, its.b6, its.charges, its.linear)
+        tables = {}
+        for i, j in touching([site.x for site in self.rotamers], _CUTOFF):
+            first, second = self.rotamers[i], self.rotamers[j]
+            pair = self._pair_parameters(first.atoms, second.atoms)
+            table = _table(first.x, second.x, pair.a12, pair.b6, pair.charges, pair.linear)
             if table.any():
-                found[i, j] = table
-        return found
+                tables[i, j] = table
+        return tables
 
-    def _between(self, rows: Integers, columns: Integers) -> _Parameters:
+    def _pair_parameters(self, rows: Integers, columns: Integers) -> _Parameters:
         nonbonded = self.terms.nonbonded
         kinds = np.ix_(nonbonded.lj_type[rows], nonbonded.lj_type[columns])
         a12, b6 = self._a12[kinds], self._b6[kinds]
         charges = np.outer(nonbonded.charge[rows], nonbonded.charge[columns])
         place = {atom: k for k, atom in enumerate(columns.tolist())}
         for k, atom in enumerate(rows.tolist()):
-            for other, values in self._exceptions.get(atom, ()):
-                if other in place:
-                    a12[k, place[other]], b6[k, place[other]], charges[k, place[other]] = values
+            for partner, values in self._exceptions.get(atom, ()):
+                if partner in place:
+                    a12[k, place[partner]], b6[k, place[partner]], charges[k, place[partner]] = values
         # The minimum is at r^6 = 2 A/B.
         ratio = np.divide(2.0 * a12, b6, out=np.zeros_like(a12), where=b6 > 0.0)
         return _Parameters(a12, b6, charges, _LINEAR**2 * np.cbrt(ratio))
 
-    def _twisted(self, its: Rotamers) -> Floats:
+    def _torsion_energies(self, arm: Rotamers) -> Floats:
         """(n,) float: energies of the torsions that turn."""
-        mine = np.isin(self._torsions.atoms, its.atoms).any(axis=1)
-        atoms, parameters = self._torsions.atoms[mine], self._torsions.parameters[mine]
+        is_turning = np.isin(self._torsions.atoms, arm.atoms).any(axis=1)
+        atoms, parameters = self._torsions.atoms[is_turning], self._torsions.parameters[is_turning]
         involved, place = np.unique(atoms, return_inverse=True)
-        at = np.repeat(self.x[involved][None], len(its.x), axis=0)
-        turning, rows = np.isin(involved, its.atoms), {atom: k for k, atom in enumerate(its.atoms.tolist())}
-        at[:, turning] = its.x[:, [rows[atom] for atom in involved[turning].tolist()]]
+        at = np.repeat(self.x[involved][None], len(arm.x), axis=0)
+        turns, rows = (np.isin(involved, arm.atoms), {atom: k for k, atom in enumerate(arm.atoms.tolist())})
+        at[:, turns] = arm.x[:, [rows[atom] for atom in involved[turns].tolist()]]
         place = place.reshape(atoms.shape)
         phi = dihedral(*(at[:, place[:, k]] for k in range(4)))
         times, phase, height = parameters.T
         return np.asarray((_TWIST * height * (1.0 + np.cos(times * phi - phase))).sum(axis=1))
 
 
-def _by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
+def _exceptions_by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
     """Pairs with parameters of their own: the others of each atom, and A, B and the charges' product."""
-    found: dict[int, list[tuple[int, list[float]]]] = {}
+    by_atom: dict[int, list[tuple[int, list[float]]]] = {}
     for (i, j), values in zip(exceptions.atoms.tolist(), exceptions.parameters.tolist(), strict=True):
-        found.setdefault(i, []).append((j, values))
-        found.setdefault(j, []).append((i, values))
-    return found
+        by_atom.setdefault(i, []).append((j, values))
+        by_atom.setdefault(j, []).append((i, values))
+    return by_atom
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -135,32 +135,32 @@ def _felt(r2: float, a12: float, b6: float, charges: float, linear: float) -> fl
 
 
 @njit(cache=True, error_model="numpy")
-def _table(x: Floats, others: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
+def _table(x: Floats, x_other: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
     """Energies (n, m) between positions x (n, k, 3) and others (m, l, 3)."""
-    found = np.zeros((len(x), len(others)))
+    energies = np.zeros((len(x), len(x_other)))
     for r in range(len(x)):
-        for s in range(len(others)):
+        for s in range(len(x_other)):
             energy = 0.0
             for k in range(x.shape[1]):
                 x0, x1, x2 = x[r, k, 0], x[r, k, 1], x[r, k, 2]
-                for m in range(others.shape[1]):
-                    d0, d1, d2 = x0 - others[s, m, 0], x1 - others[s, m, 1], x2 - others[s, m, 2]
+                for m in range(x_other.shape[1]):
+                    d0, d1, d2 = x0 - x_other[s, m, 0], x1 - x_other[s, m, 1], x2 - x_other[s, m, 2]
                     r2 = d0 * d0 + d1 * d1 + d2 * d2
                     if r2 < _CUTOFF**2:
                         energy += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
-            found[r, s] = energy
-    return found
+            energies[r, s] = energy
+    return energies
 
 
 @njit(cache=True, error_model="numpy")
 def _inside(x: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
     """Energies (n,) of positions x (n, k, 3) with themselves."""
-    found = np.zeros(len(x))
+    energies = np.zeros(len(x))
     for r in range(len(x)):
         for k in range(x.shape[1]):
             for m in range(k):
                 d0, d1, d2 = x[r, k, 0] - x[r, m, 0], x[r, k, 1] - x[r, m, 1], x[r, k, 2] - x[r, m, 2]
                 r2 = d0 * d0 + d1 * d1 + d2 * d2
                 if r2 < _CUTOFF**2:
-                    found[r] += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
-    return found
+                    energies[r] += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
+    return energies

@@ -46,8 +46,8 @@ class Rotamers:
         if (before == after).all():
             return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
         old, new = (
-            " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1))
-            for each in (before, after)
+            " ".join(f"chi{k} {value}" for k, value in enumerate(degrees.tolist(), 1))
+            for degrees in (before, after)
         )
         return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
 
@@ -56,20 +56,20 @@ def rotamers_of(
     structure: Structure, x: Floats, residues: Sequence[int], moving: NDArray[np.bool_] | None = None
 ) -> list[Rotamers]:
     """Rotamers of the side chains that can turn: x (na, 3) nm, moving (na,) bool."""
-    held = structure.kept.copy()
+    fixed = structure.kept.copy()
     if moving is not None:
-        held |= ~moving
-    held[[atom for tie in structure.ties for atom in tie.atoms]] = True
+        fixed |= ~moving
+    fixed[[atom for tie in structure.ties for atom in tie.atoms]] = True
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
-    found = (
-        _of_residue(structure, x, residue, range(first[residue], first[residue + 1]), held)
+    side_chains = (
+        _of_residue(structure, x, residue, range(first[residue], first[residue + 1]), fixed)
         for residue in residues
     )
-    return [each for each in found if each is not None]
+    return [side_chain for side_chain in side_chains if side_chain is not None]
 
 
 def _of_residue(
-    structure: Structure, x: Floats, residue: int, atoms: Sequence[int], held: NDArray[np.bool_]
+    structure: Structure, x: Floats, residue: int, atoms: Sequence[int], fixed: NDArray[np.bool_]
 ) -> Rotamers | None:
     """Rotamers of a residue; None for one without chi, or bonded to others by its side chain."""
     name = str(structure.residue_name[residue])
@@ -82,12 +82,12 @@ def _of_residue(
     quartets += polar if name in _POLAR else []
     arm = arm_of(structure.neighbours, [tuple(at[atom] for atom in quartet) for quartet in quartets])
     side = set(at.values()) - {at[atom] for atom in ("N", "CA", "C", "O") if atom in at}
-    if not set(arm.moved.tolist()) <= side or held[arm.moved].any():
+    if not set(arm.moved.tolist()) <= side or fixed[arm.moved].any():
         return None
     now = arm.dihedrals(x)
     mirror = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
     library, frequency = rotamers(name, *backbone_of(structure.neighbours, at, x, mirror))
-    chi, rarity = _tried(name, now[:n_chi], mirror * library, -np.log(frequency))
+    chi, rarity = _candidate_dihedrals(name, now[:n_chi], mirror * library, -np.log(frequency))
     if polar and n_chi < len(quartets):
         chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])
     turned = arm.turned(x, chi)
@@ -98,7 +98,7 @@ def _of_residue(
     return Rotamers(residue, arm.moved, chi, n_chi, turned, cost)
 
 
-def _tried(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:
+def _candidate_dihedrals(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:
     """Dihedrals (n, n_chi), rad, and rarities (n,): those of now, and rotamers with turns about them."""
     off = wrapped(library - now)
     if name in residues.SYMMETRIC:
@@ -113,6 +113,6 @@ def _tried(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Flo
 def _with_hydrogen(chi: Floats, rarity: Floats, now: float, turns: Floats) -> tuple[Floats, Floats]:
     """With a dihedral of a polar hydrogen: all turns for each, and that of the input for the input's."""
     n = len(turns)
-    each = np.column_stack([np.repeat(chi, n, axis=0), np.tile(turns, len(chi))])
+    combined = np.column_stack([np.repeat(chi, n, axis=0), np.tile(turns, len(chi))])
     first = np.append(chi[0], now)
-    return np.vstack([first, each]), np.append(rarity[0], np.repeat(rarity, n))
+    return np.vstack([first, combined]), np.append(rarity[0], np.repeat(rarity, n))

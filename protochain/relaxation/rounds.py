@@ -80,10 +80,10 @@ class Round:
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class RoundEnd:
     """Where a round ended."""
 
-    wrong: Problems  # At these positions.
+    problems: Problems  # At these positions.
     stop: Stop
     springs: Tethers  # Those of its last stage.
     # (n,) int: Residues with violations, overlaps, threaded rings, inverted centres, twisted peptide bonds.
@@ -93,7 +93,7 @@ class Ended:
     @property
     def x(self) -> Floats:
         """(na, 3) float, nm: positions."""
-        return self.wrong.x
+        return self.problems.x
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,65 +106,65 @@ class Relaxer:
     max_iterations: int  # Of each minimisation; 0 for no limit.
     note: Note
     moving: NDArray[np.bool_] | None = None  # (na,) bool: Atoms that may move; all but obstacles by default.
-    held: tuple[Force, ...] = ()  # Restraints of the user.
+    user_restraints: tuple[Force, ...] = ()  # Restraints of the user.
 
-    def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
+    def rounds(self, x: Floats, excluded: NDArray[np.bool_], max_rounds: int) -> list[RoundEnd]:
         """Minimise from x (na, 3) nm, and with fewer springs while violations or overlaps are left."""
-        share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
+        share, ends = np.where(excluded, 0.0, 1.0), list[RoundEnd]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
-        at = Problems(self.structure, x)
-        turning = self.structure.atom_residue[[*at.inverted, *at.reversed]]
+        problems = Problems(self.structure, x)
+        turning = self.structure.atom_residue[[*problems.inversions, *problems.reversed_peptides]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
             share = share.copy()
             # Springs would draw the bonds back.
-            share[at.of_rings()] = 0.0
-            before = sum(each.round.evaluations for each in done)
-            done.append(self._round(at.x, share, strengths, before, bool(at.rings)))
-            last = done[-1]
-            at = last.wrong
-            if not len(last.concerned) or len(done) == most:
-                return done
+            share[problems.of_rings()] = 0.0
+            before = sum(end.round.evaluations for end in ends)
+            ends.append(self._round(problems.x, share, strengths, before, bool(problems.rings)))
+            last = ends[-1]
+            problems = last.problems
+            if not len(last.concerned) or len(ends) == max_rounds:
+                return ends
             # As weak as springs in series: those of other programs lead to the end of the round before.
-            strengths = [(own / (len(done) + 1), beside / (len(done) + 1)) for own, beside in strongest]
+            strengths = [(main / (len(ends) + 1), side / (len(ends) + 1)) for main, side in strongest]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
             # Where that did not help, what lies against them is in the way.
             still_wrong = last.concerned[share[last.concerned] < 1.0]
-            less[self._touching(still_wrong, at.x) & (less == 1.0)] = _WEAKER
+            less[self._touching(still_wrong, problems.x) & (less == 1.0)] = _WEAKER
             still = last.stop in _FINAL or not any(strengths[0])
             if still or (less == share).all():
-                return done
+                return ends
             share = less
 
     def _round(
         self, x: Floats, share: Floats, strengths: Sequence[tuple[float, float]], before: int, threaded: bool
-    ) -> Ended:
+    ) -> RoundEnd:
         """Free rings, if bonds go through any, walk through the stages, and look at what is left."""
         began, structure, freed = perf_counter(), self.structure, 0
         springs = [self._springs(share, *strength) for strength in strengths]
-        plan = [*(self._begin(springs[0]) if not before else []), *self._right(springs[0])]
-        plan += [stage for each in springs for stage in self._whole(each)]
+        plan = [*(self._first_stages(springs[0]) if not before else []), *self._correction_stages(springs[0])]
+        plan += [stage for tethers in springs for stage in self._force_field_stages(tethers)]
         if threaded and (freeing := unthreading(self._space, self.energy)):
-            free = self._walked(freeing, x, before)
+            free = self._walk_stages(freeing, x, before)
             x, freed = free.x, free.n_evaluations
             if free.stop is Stop.INTERRUPTED:
                 plan = []
         if plan:
-            walked = self._walked(plan, x, before + freed)
+            outcome = self._walk_stages(plan, x, before + freed)
         else:
-            walked = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
-        wrong = Problems(structure, read_only(walked.x))
-        concerned = wrong.residues(self.strength.planar)
+            outcome = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
+        problems = Problems(structure, read_only(outcome.x))
+        concerned = problems.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
-        noted = Round(
-            int((share < 1.0).sum()), len(wrong.violations.residues), len(wrong.overlaps),
-            walked.n_iterations, freed + walked.n_evaluations, perf_counter() - began,
+        entry = Round(
+            int((share < 1.0).sum()), len(problems.violations.residues), len(problems.overlaps),
+            outcome.n_iterations, freed + outcome.n_evaluations, perf_counter() - began,
         )  # fmt: skip
-        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), noted)
+        return RoundEnd(problems, outcome.stop, _tethers(outcome.restraint), np.flatnonzero(concerned), entry)
 
-    def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
+    def _walk_stages(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
         """Walk through stages from x, within the iterations allowed."""
         n_points, begun = 0, set[Stage | None]()
 
@@ -177,61 +177,62 @@ class Relaxer:
             if 0 < self.max_iterations <= n_points - len(begun):
                 raise BudgetSpentError
 
-        walked = walk(plan, x, _ENDLESS, None, record, resumable=False)
-        if not before + walked.n_evaluations:
+        outcome = walk(plan, x, _ENDLESS, None, record, resumable=False)
+        if not before + outcome.n_evaluations:
             raise KeyboardInterrupt
-        return walked
+        return outcome
 
-    def _begin(self, springs: Tethers) -> list[Stage]:
+    def _first_stages(self, springs: Tethers) -> list[Stage]:
         """Stages from whose end the force field takes over, each where it is needed."""
         stages, bonded = [], bonded_part(self.energy) if self.strength.softened else None
         for share, stiffness in self.strength.softened:
             if bonded is not None:
                 parting = SoftRepulsion(self.structure, share=share, stiffness=stiffness)
-                soft = self._gentle(Sum([bonded, parting]), springs, is_soft=True)
+                soft = self._preparatory_stage(Sum([bonded, parting]), springs, is_soft=True)
                 stages.append(
                     replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0)
                 )
         rough = getattr(self.energy, "coarse", None)
         if rough is not None:
-            stages.append(replace(self._gentle(rough, springs), ready=self._is_high))
+            stages.append(replace(self._preparatory_stage(rough, springs), ready=self._is_high))
         return stages
 
     def _is_high(self, stage: Stage, at: Placement) -> bool:
         return evaluate(self._space, self.energy, at.q).residual > _HIGH
 
-    def _right(self, springs: Tethers) -> list[Stage]:
+    def _correction_stages(self, springs: Tethers) -> list[Stage]:
         """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, if there are any.
 
         Bonds that are only twisted are turned by the stages that follow. One goes on where a centre of a
         ligand or sugar is half turned: the mean force of a large protein does not tell.
         """
-        stage = self._gentle(getattr(self.energy, "coarse", self.energy), springs)
+        stage = self._preparatory_stage(getattr(self.energy, "coarse", self.energy), springs)
         stages = [
             replace(
-                stage, ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed(at.x)))
+                stage,
+                ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed_bonds(at.x))),
             )
         ]
         s = self.structure
         if s.ligands or s.glycans:
             sugars = np.flatnonzero(np.isin(s.atom_residue, [*s.glycans]))
-            atoms = np.concatenate([sugars, *(each.atoms for each in s.ligands)])
+            atoms = np.concatenate([sugars, *(ligand.atoms for ligand in s.ligands)])
             on = replace(stage, tolerance=_TURNED)
             stages += [
                 replace(on, ready=lambda _, at: bool(np.isin(atoms, self.chirality.short(at.x)).any()))
             ]
         return stages
 
-    def _gentle(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
+    def _preparatory_stage(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
         """Stage whose energy is not the force field's, whose end is no result, and which may fail."""
         tolerance, patience = (20.0, 60) if is_soft else (30.0, PATIENCE)
         return Stage(
             self._space, self._method(springs, is_soft), energy, tolerance,
-            Sum([springs, self.shapes, self.peptides, *self.held]),
+            Sum([springs, self.shapes, self.peptides, *self.user_restraints]),
             recorded=False, patience=patience, name="resolving clashes", ends=(Stop.INTERRUPTED,),
         )  # fmt: skip
 
-    def _whole(self, springs: Tethers) -> list[Stage]:
+    def _force_field_stages(self, springs: Tethers) -> list[Stage]:
         """Stage on the force field, and one on its reference if that is another engine."""
         return with_reference(
             Stage(
@@ -260,8 +261,8 @@ class Relaxer:
         Springs to a bad model twist peptide bonds; the push to their form makes up for it, while they act.
         """
         pushed = springs.weight.any() and self.strength.planar
-        beside: list[Force] = [*([self.peptides] if pushed else ()), *self.held]
-        return Sum([springs, *beside]) if beside else springs
+        additional: list[Force] = [*([self.peptides] if pushed else ()), *self.user_restraints]
+        return Sum([springs, *additional]) if additional else springs
 
     @cached_property
     def peptides(self) -> PeptideBonds:
@@ -319,6 +320,6 @@ def _tethers(restraint: Force | None) -> Tethers:
     return springs
 
 
-def fewest_left(done: Sequence[Ended]) -> Ended:
+def best_round(ends: Sequence[RoundEnd]) -> RoundEnd:
     """Round after which the fewest residues have violations or overlaps, the first of equals."""
-    return min(done, key=lambda each: len(each.concerned))
+    return min(ends, key=lambda end: len(end.concerned))

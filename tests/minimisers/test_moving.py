@@ -6,7 +6,7 @@ from fixtures.samples import chain, energy, load, shared, still
 
 import protochain as pc
 from protochain.chains.articulate import turned_atoms
-from protochain.relaxation.repack import repacked
+from protochain.relaxation.repack import repack_side_chains
 from protochain.structure.select import moving, select
 
 BACKBONE = {"N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT"}
@@ -117,9 +117,9 @@ def test_no_round_unthreading_hand_or_rotamer_moves_what_is_fixed():
         fixed = ~moving(spoilt, move)
         assert len(r.rounds) >= 1 and np.array_equal(r.x[fixed], x[fixed])
     chosen = select(s, "resid 1:10")
-    turned = repacked(spoilt, range(20), moving=chosen)
+    turned = repack_side_chains(spoilt, range(20), moving=chosen)
     assert np.array_equal(turned.positions[~chosen], x[~chosen])
-    assert not np.array_equal(repacked(spoilt, range(20)).positions[~chosen], x[~chosen])
+    assert not np.array_equal(repack_side_chains(spoilt, range(20)).positions[~chosen], x[~chosen])
 
 
 def test_atoms_that_move_by_hinges_are_counted_with_those_beyond():

@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.batches import mutation_scan
 from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
-from protochain.relaxation.mutations import NEAR, mutated, places_of, protocol
+from protochain.relaxation.mutations import NEAR, mutate_at, places_of, protocol
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import substituted
 
@@ -166,7 +166,7 @@ def test_protonation_states_are_compared_with_their_own():
     s = load("1hel.pdb")
     relaxing, setup = protocol(FAST)
     r = int(np.flatnonzero(s.residue_number == "15")[0])
-    found = [mutated(s, {r: state}, relaxing, setup, {}).unfolded for state in ("HID", "HIE")]
+    found = [mutate_at(s, {r: state}, relaxing, setup, {}).unfolded for state in ("HID", "HIE")]
     assert found[0] == 0.0 and abs(found[1]) > 10.0
 
 

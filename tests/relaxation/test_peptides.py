@@ -14,7 +14,7 @@ from protochain.minimisers.verdict import verdict
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
 from protochain.relaxation.problems import Problems
-from protochain.relaxation.relax_structure import _lost, left_in_words
+from protochain.relaxation.relax_structure import _newly_reversed, describe_problems
 from protochain.relaxation.rounds import Relaxer
 from protochain.validation.layout import dihedrals
 from protochain.validation.omega import isomerised_bonds, omegas, twisted_bonds
@@ -105,7 +105,7 @@ def test_springs_to_a_bad_model_twist_no_bond():
     r = pc.relax(s, threads=1)
     assert r.status == "converged" and r.measures_end["twisted_peptides"] == 0
     bonds = PeptideBonds.of(s)
-    assert (r.measures_start["twisted_peptides"], len(bonds.wrong(r.x))) == (0, 0)
+    assert (r.measures_start["twisted_peptides"], len(bonds.twisted_bonds(r.x))) == (0, 0)
     assert bonds(r.x)[0] > 0.0
 
 
@@ -128,10 +128,10 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
     other = Problems(s, bent.positions)
-    assert left_in_words(other) == []  # -75: it went to the other side, and is lost.
+    assert describe_problems(other) == []  # -75: it went to the other side, and is lost.
     half = Problems(s, with_omega(s, 12, 120.0).positions)
-    assert left_in_words(half)[0].startswith("twisted peptide bonds: " + name)
-    assert _lost(half).tolist() == [] and _lost(other).tolist() == [bond_before(s, 12)[2]]
+    assert describe_problems(half)[0].startswith("twisted peptide bonds: " + name)
+    assert _newly_reversed(half).tolist() == [] and _newly_reversed(other).tolist() == [bond_before(s, 12)[2]]
 
 
 def test_minimise_names_a_bond_that_turned(bent):

@@ -23,7 +23,7 @@ from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, problems, r
 from protochain.relaxation.names import relaxed_name
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.problems import Problems
-from protochain.relaxation.relax_structure import _spoiled, relax_structure
+from protochain.relaxation.relax_structure import _newly_inverted, relax_structure
 from protochain.relaxation.rounds import Relaxer
 from protochain.structure.molecule.chirality import wrong_atoms
 from protochain.structure.molecule.residues import VAN_DER_WAALS
@@ -331,7 +331,7 @@ def test_only_hands_that_became_wrong_are_inverted():
     assert len(left) < len(wrong) and (r.status is pc.Status.INVERTED) == bool(set(left) - set(wrong))
     right = load("1l2y.pdb")
     mirror = right.positions * [1.0, 1.0, -1.0]
-    spoiled = _spoiled(Problems(right, mirror))
+    spoiled = _newly_inverted(Problems(right, mirror))
     assert len(spoiled) >= 16 and spoiled[0] == "CA of A:ASN1"
 
 
@@ -341,7 +341,7 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     points = []
     note = lambda stage, at, evaluations: points.append(at)  # noqa: E731
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
-    relaxer._walked(unthreading(relaxer._space, relaxer.energy), planted.structure.positions, 0)
+    relaxer._walk_stages(unthreading(relaxer._space, relaxer.energy), planted.structure.positions, 0)
     assert len(points) == 4
 
 

@@ -82,7 +82,12 @@ def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it
     monkeypatch.setattr(rounds, "walk", lambda plan, x, *_, **__: stayed(plan[0], x))
     relaxer = Relaxer(bad, pc.energy(bad), PRESETS["predicted"], 0, lambda *_: None)
     x = bad.positions
-    wrong = relaxer.chirality.wrong(x), relaxer.peptides.wrong(x), threaded_rings(bad), overlaps(bad, x)
+    wrong = (
+        relaxer.chirality.wrong(x),
+        relaxer.peptides.twisted_bonds(x),
+        threaded_rings(bad),
+        overlaps(bad, x),
+    )
     assert all(len(each) for each in (*wrong, violations(bad).residues))
     for at, concerned in ((x, True), (good.positions, False)):
         ended = relaxer._round(at, np.ones(bad.n_residues), [(1.0, 1.0)], 1, False)

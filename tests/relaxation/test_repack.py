@@ -17,7 +17,7 @@ from protochain.core.arrays import dihedral
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
 from protochain.energies.native.terms import compile_system
-from protochain.relaxation.repack import repacked, troubled
+from protochain.relaxation.repack import conflicting_residues, repack_side_chains
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure.molecule import residues
@@ -143,7 +143,7 @@ class Slow:
             sigma, epsilon = 0.9 * 0.5 * (first[1] + second[1]), np.sqrt(first[2] * second[2])
         return soft(np.linalg.norm(x[i] - x[j]), sigma, epsilon, COULOMB * charges)
 
-    def twisted(self, x, atoms):
+    def twisted_bonds(self, x, atoms):
         total = 0.0
         for k in range(self.torsions.getNumTorsions()):
             *quartet, times, phase, height = self.torsions.getTorsionParameters(k)
@@ -168,11 +168,11 @@ def test_energies_are_those_of_the_force_fields_terms():
     moving = np.concatenate([arm.atoms for arm in turning]).tolist()
     still = sorted(set(range(structure.n_atoms)) - set(moving))
     for k, arm in enumerate(turning):
-        own, its = felt.own(k), arm.atoms.tolist()
+        own, its = felt.self_energies(k), arm.atoms.tolist()
         for state in (0, 1, len(own) // 2, len(own) - 1):
             x = np.array(structure.positions)
             x[its] = arm.x[state]
-            expected = arm.cost[state] + slow.twisted(x, its)
+            expected = arm.cost[state] + slow.twisted_bonds(x, its)
             expected += sum(slow.pair(x, i, j) for i in its for j in still)
             expected += sum(slow.pair(x, i, j) for i in its for j in its if i < j)
             assert own[state] == pytest.approx(expected, rel=1e-6, abs=1e-6)
@@ -291,7 +291,7 @@ def test_random_side_chains_come_back():
     native = load("1ubq.pdb")
     given, chosen = scrambled(native, 30)
     assert len(near_pairs(given, given.positions, OVERLAP)[0]) > 20
-    found = repacked(given, chosen)
+    found = repack_side_chains(given, chosen)
     x = found.positions
     off = [abs(wrapped(chi1(native, x, r) - chi1(native, native.positions, r))) for r in chosen]
     # A third of random ones would be; 0.8 are.
@@ -311,19 +311,19 @@ def test_the_mirror_image_is_repacked_into_the_mirror_image():
     """D-amino acids under the same names: their rotamers are the mirror's, and hands stay."""
     given, chosen = scrambled(load("1l2y.pdb"), 6, seed=1)
     flip = np.array([1.0, 1.0, -1.0])
-    found = repacked(given, chosen)
-    mirror = repacked(given.with_positions(flip * given.positions), chosen)
+    found = repack_side_chains(given, chosen)
+    mirror = repack_side_chains(given.with_positions(flip * given.positions), chosen)
     assert (found.positions != given.positions).any()
     assert mirror.positions == pytest.approx(flip * found.positions, abs=1e-9)
 
 
 def test_the_same_is_found_again_by_either_engine():
     given, chosen = scrambled(load("1l2y.pdb"), 6, seed=2)
-    first = repacked(given, chosen, energy=pc.energy(given))
-    again = repacked(given, reversed(chosen), energy=pc.energy(given, engine="openmm"))
+    first = repack_side_chains(given, chosen, energy=pc.energy(given))
+    again = repack_side_chains(given, reversed(chosen), energy=pc.energy(given, engine="openmm"))
     assert np.array_equal(first.positions, again.positions)
     assert first.repairs == again.repairs
-    assert np.array_equal(first.positions, repacked(given, chosen).positions)
+    assert np.array_equal(first.positions, repack_side_chains(given, chosen).positions)
     # An energy that leaves out what is constant in a chain still has all terms.
     whole = pc.energy(given)
     groups = pc.build_chain(given).rigid_groups
@@ -332,7 +332,7 @@ def test_the_same_is_found_again_by_either_engine():
 
 def test_a_molecule_kept_beside_is_kept_clear_of(tmp_path):
     peptide = pc.from_sequence("ALA")
-    free = repacked(peptide, [1])
+    free = repack_side_chains(peptide, [1])
     at = {name: i for i, name in enumerate(peptide.atom_name) if peptide.atom_residue[i] == 1}
     end, before = (10 * free.positions[at[name]] for name in ("CD1", "CG"))
     # Too far for a bond, too near for comfort.
@@ -343,7 +343,7 @@ def test_a_molecule_kept_beside_is_kept_clear_of(tmp_path):
     (tmp_path / "beside.pdb").write_text("".join([*(ln for ln in lines if not ln.startswith("END")), line]))
     given = pc.load(tmp_path / "beside.pdb")
     (obstacle,) = np.flatnonzero(given.obstacle)
-    found = repacked(given, [1])
+    found = repack_side_chains(given, [1])
     gaps = [
         np.linalg.norm(s.positions[~s.obstacle] - s.positions[obstacle], axis=1).min() for s in (given, found)
     ]
@@ -353,9 +353,9 @@ def test_a_molecule_kept_beside_is_kept_clear_of(tmp_path):
 
 def test_a_clean_structure_stays_as_it_is():
     structure = pc.from_sequence("AAA")
-    assert repacked(structure) is structure
+    assert repack_side_chains(structure) is structure
     ala = load("ala10.pdb")
-    assert not len(troubled(ala)) and repacked(ala) is ala
+    assert not len(conflicting_residues(ala)) and repack_side_chains(ala) is ala
 
 
 def test_by_default_those_turn_that_are_in_the_way():
@@ -363,17 +363,17 @@ def test_by_default_those_turn_that_are_in_the_way():
     given, chosen = scrambled(native, 6, seed=3)
     near = near_pairs(given, given.positions, OVERLAP)[0]
     crowded = {r for r in native.atom_residue[near].ravel().tolist() if r in chosen}
-    assert crowded and crowded <= set(troubled(given).tolist())
-    found = repacked(given)
+    assert crowded and crowded <= set(conflicting_residues(given).tolist())
+    found = repack_side_chains(given)
     assert not len(near_pairs(found, found.positions, OVERLAP)[0])
-    assert len(troubled(found)) < len(troubled(given))
+    assert len(conflicting_residues(found)) < len(conflicting_residues(given))
 
 
 @pytest.mark.parametrize("glycine", ["N", "H", "CA", "HA2", "HA3", "C", "O"])
 @pytest.mark.parametrize("first", ["H1", "H2", "H3", "HA"])
 def test_atoms_that_no_chi_turns_do_not_make_a_side_chain_turn(first, glycine):
     structure = pc.from_sequence("SAAAGAAA")
-    assert not len(troubled(structure))
+    assert not len(conflicting_residues(structure))
     for name, others in ((first, []), ("OG", [0])):
         (one,), (other,) = (
             np.flatnonzero((structure.atom_residue == residue) & (structure.atom_name == its))
@@ -381,7 +381,7 @@ def test_atoms_that_no_chi_turns_do_not_make_a_side_chain_turn(first, glycine):
         )
         x = structure.positions.copy()
         x[one] = x[other] + [0.02, 0.0, 0.0]
-        assert troubled(structure.with_positions(x)).tolist() == others
+        assert conflicting_residues(structure.with_positions(x)).tolist() == others
 
 
 def test_the_next_round_looks_where_the_last_put_side_chains(monkeypatch):
@@ -396,12 +396,12 @@ def test_the_next_round_looks_where_the_last_put_side_chains(monkeypatch):
         return x, ()
 
     for name, made in (
-        ("_settled", settled),
+        ("_assign_rotamers", settled),
         ("_terms", lambda *_: True),
-        ("troubled", lambda _: np.array([0])),
+        ("conflicting_residues", lambda _: np.array([0])),
     ):
         monkeypatch.setattr(module, name, made)
-    repacked(s)
+    repack_side_chains(s)
     assert seen[0] == {0} and seen[1] >= {0, 15}
 
 
@@ -409,13 +409,13 @@ def test_threaded_rings_are_freed():
     for planted in planted_rings([load("1ubq.pdb")], 2, seed=0):
         given = planted.structure
         assert threaded_rings(given)
-        assert {planted.ring_residue, planted.threading_residue} & set(troubled(given).tolist())
-        assert not threaded_rings(repacked(given))
+        assert {planted.ring_residue, planted.threading_residue} & set(conflicting_residues(given).tolist())
+        assert not threaded_rings(repack_side_chains(given))
 
 
 def test_a_residue_that_is_not_there_is_refused():
     with pytest.raises(StructureError, match=r"no residue of index 99; give indices from 0 to 19"):
-        repacked(load("1l2y.pdb"), [1, 99])
+        repack_side_chains(load("1l2y.pdb"), [1, 99])
 
 
 # --- Before relaxing
@@ -426,7 +426,7 @@ def test_relaxing_turns_them_first_and_tells():
     plain = pc.relax(given, solvent="vacuum", max_iterations=20)
     done = pc.relax(given, solvent="vacuum", max_iterations=20, repack=True)
     assert plain.turned == () and plain.record()["side_chains_turned"] == []
-    expected = repacked(given, energy=done.energy_function)
+    expected = repack_side_chains(given, energy=done.energy_function)
     assert done.turned == expected.repairs[len(given.repairs) :] != ()
     assert done.record()["side_chains_turned"] == [str(each) for each in done.turned]
     assert done.structure.repairs == expected.repairs and done.start is given
@@ -450,17 +450,17 @@ def test_a_region_is_repacked_whether_or_not_it_is_in_the_way():
     native = load("3i40.pdb")
     there = np.unique(native.atom_residue[select(native, "interface A B")])
     given, chosen = scrambled(native, 14, seed=5)
-    found = repacked(given, there.tolist())
+    found = repack_side_chains(given, there.tolist())
     turned = {r for r in chosen if not np.array_equal(*_of(r, given, found))}
     assert turned and turned <= set(there.tolist()) and set(chosen) - set(there.tolist())
     done = pc.relax(given, solvent="vacuum", max_iterations=5, repack_region="interface A B")
     region = np.unique(given.atom_residue[select(given, "interface A B")])
-    alone = repacked(given, region, energy=done.energy_function)
+    alone = repack_side_chains(given, region, energy=done.energy_function)
     assert done.turned == alone.repairs[len(given.repairs) :] and done.turned
     record = done.record()
     assert record["repack_region"] == "interface A B" and record["repacked"] is True
     # Natives are not left for rotamers that gain little.
-    same = repacked(native, there.tolist())
+    same = repack_side_chains(native, there.tolist())
     assert sum(not np.array_equal(*_of(r, native, same)) for r in there) <= 0.2 * len(there)
     with pytest.raises(StructureError, match="side 'X'"):
         pc.relax(native, repack_region="interface A X")
