@@ -11,7 +11,7 @@ from protochain.core.errors import ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
 from protochain.structure import Structure
-from protochain.structure.formats.confidences import confidence_files, confidence_in
+from protochain.structure.formats.confidences import confidence_files, read_scores
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored
 
@@ -47,7 +47,7 @@ class ScoreJob:
             )
             if not pairs:
                 raise ProtochainError(f"{self.label}: no two of its chains are in contact; give a complex")
-            energy, confidences = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
+            energy, confidences = native(setup.energy(structure)), read_scores(confidence_files(self.path))
             if self.relax:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:

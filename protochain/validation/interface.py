@@ -22,7 +22,7 @@ from protochain.energies.decomposed import TERMS, interaction, native_of
 from protochain.energies.native import NativeEnergy
 from protochain.energies.protocol import Energy, an_energy
 from protochain.structure.convert import as_structure, to_mdtraj
-from protochain.structure.formats.confidences import Confidence, confidence_files, confidence_in
+from protochain.structure.formats.confidences import Confidence, confidence_files, read_scores
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.structure.select import contacts, sides
@@ -262,7 +262,7 @@ def score_interface(
     parts = sides(structure, first, second)
     made = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
     beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
-    return scored(structure, native(made), first, second, parts, confidence_in(beside))
+    return scored(structure, native(made), first, second, parts, read_scores(beside))
 
 
 def native(energy: Energy) -> NativeEnergy:
@@ -505,7 +505,7 @@ def _confidences(
         return values
     atoms = structure.origin.atoms
     chains = [*dict.fromkeys(atom.split("/", 1)[0] for atom in atoms)]
-    values["iptm"] = given.between(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
+    values["iptm"] = given.mean_iptm(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
     return values | _of_errors(structure, parts, near, plddt, given.pae, given.tokens(atoms))
 
 

@@ -11,7 +11,7 @@ import pytest
 from fixtures.command_line import run
 from fixtures.samples import ROOT, STRUCTURES
 
-from protochain.structure.formats.confidences import confidence_files, confidence_in, copy_confidences
+from protochain.structure.formats.confidences import confidence_files, copy_confidences, read_scores
 
 SAMPLE = STRUCTURES / "1l2y.pdb"
 MODELS = ROOT.parent / "shared" / "complexes" / "models"
@@ -83,7 +83,7 @@ def test_what_unpacks_to_too_much_is_not_read(tmp_path, unpacked):
         np.save(array, np.float64(0.5))
         file.writestr("iptm.npy", array.getvalue())
         file.writestr("other", b"0" * unpacked)
-    assert confidence_in([path]).iptm == (0.5 if unpacked == 100 else None)
+    assert read_scores([path]).iptm == (0.5 if unpacked == 100 else None)
 
 
 def test_commands_take_them_along(boltz, tmp_path, capsys):

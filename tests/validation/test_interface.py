@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.structure.formats.confidences import Confidence, confidence_in
+from protochain.structure.formats.confidences import Confidence, read_scores
 from protochain.structure.select import select, sides, touching_chains
 from protochain.validation import CONFIDENCES, MAKEUP, SCORES
 from protochain.validation.interface import _unsatisfied
@@ -307,12 +307,12 @@ def test_an_interface_of_two_sides_can_be_selected():
 def test_iptm_of_sides_is_the_mean_of_their_chains_both_ways():
     files = [STRUCTURES / BESIDE]
     told = json.loads(files[0].read_text())
-    table, given = told["pair_chains_iptm"], confidence_in(files)
+    table, given = told["pair_chains_iptm"], read_scores(files)
     chains = [chr(ord("A") + k) for k in range(len(table))]
-    assert given.between(chains, {"A"}, {"B"}) == pytest.approx(0.5 * (table["0"]["1"] + table["1"]["0"]))
-    assert given.between(["A", "B"], {"A"}, {"B"}) is None  # Of other chains than the model's.
-    assert Confidence(0.7).between(["A", "B"], {"A"}, {"B"}) == 0.7
-    assert Confidence(0.7).between(["A", "B", "C"], {"A"}, {"B"}) is None
+    assert given.mean_iptm(chains, {"A"}, {"B"}) == pytest.approx(0.5 * (table["0"]["1"] + table["1"]["0"]))
+    assert given.mean_iptm(["A", "B"], {"A"}, {"B"}) is None  # Of other chains than the model's.
+    assert Confidence(0.7).mean_iptm(["A", "B"], {"A"}, {"B"}) == 0.7
+    assert Confidence(0.7).mean_iptm(["A", "B", "C"], {"A"}, {"B"}) is None
 
 
 @pytest.mark.parametrize(
@@ -332,16 +332,16 @@ def test_confidences_of_each_program_are_read(tmp_path, name, text):
         np.savez(path, iptm=np.array([0.5]), per_chain_pair_iptm=np.array([[[0.9, 0.4], [0.6, 0.8]]]))
     else:
         path.write_text(text)
-    assert confidence_in([path]).between("AB", {"A"}, {"B"}) == pytest.approx(0.5)
+    assert read_scores([path]).mean_iptm("AB", {"A"}, {"B"}) == pytest.approx(0.5)
 
 
 def test_iptm_of_chains_is_by_the_order_of_the_tokens(tmp_path):
     """A job that lists its ligand first, whose model has it last."""
     summary, full = tmp_path / "x_summary_confidences.json", tmp_path / "x_confidences.json"
     summary.write_text('{"iptm": 0.5, "chain_pair_iptm": [[1, 0.1, 0.2], [0.1, 1, 0.7], [0.2, 0.7, 1]]}')
-    assert confidence_in([summary]).between("ABL", {"A"}, {"B"}) == 0.1
+    assert read_scores([summary]).mean_iptm("ABL", {"A"}, {"B"}) == 0.1
     full.write_text('{"token_chain_ids": ["L", "L", "A", "B", "B"]}')
-    assert confidence_in([summary, full]).between("ABL", {"A"}, {"B"}) == 0.7
+    assert read_scores([summary, full]).mean_iptm("ABL", {"A"}, {"B"}) == 0.7
 
 
 def _slowly(path, pae, sides):
@@ -427,8 +427,8 @@ def test_scores_from_errors_are_those_of_their_definitions(tmp_path, name):
 )
 def test_confidences_that_cannot_be_read_are_none(tmp_path, text):
     (tmp_path / "x.json").write_text(text)
-    assert confidence_in([tmp_path / "x.json"]) == Confidence(None)
-    assert confidence_in([]) is None
+    assert read_scores([tmp_path / "x.json"]) == Confidence(None)
+    assert read_scores([]) is None
 
 
 def test_a_model_has_its_confidences():

@@ -1,1 +1,1 @@
-"""Files to and from gemmi's models; nothing is decided here."""
+"""Parsers and writers of structure files as gemmi models, without decisions about the structure."""

@@ -1,6 +1,6 @@
-"""Confidence files that predictors write beside a model: copies of them beside a result, and what they say.
+"""Confidence files that structure predictors write next to a model: search, copying and parsing.
 
-They are found by the names that each program gives, never by looking into files or folders.
+Files are identified by the names that each program uses, not by their contents.
 """
 
 import json
@@ -43,113 +43,113 @@ _PATTERNS = (
     # AlphaFold's database.
     (r"(AF-.+)-model_(v\d+)", (r"\1-confidence_\2.json", r"\1-predicted_aligned_error_\2.json")),
 )
-"""Stem of a model, and names of what lies beside it."""
+"""Pattern of the stem of a model file, and names of its confidence files in the same folder."""
 
 
-class Copied(NamedTuple):
-    """What was copied, and what was not, with the reason."""
+class CopyResult(NamedTuple):
+    """Files that were copied, and messages about files that were not."""
 
     written: tuple[Path, ...] = ()
     left: tuple[str, ...] = ()
 
 
 def confidence_files(model: Path) -> tuple[Path, ...]:
-    """Return the confidence files that lie beside a model, by the names that predictors give them."""
+    """Return the confidence files in the folder of a model, by the names that predictors use."""
     stem = split_name(model)[0]
     names = dict.fromkeys(
-        found.expand(name)
-        for pattern, beside in _PATTERNS
-        if (found := re.fullmatch(pattern, stem))
-        for name in beside
+        match.expand(name)
+        for pattern, templates in _PATTERNS
+        if (match := re.fullmatch(pattern, stem))
+        for name in templates
     )
     return tuple(path for name in names if (path := model.with_name(name)).is_file())
 
 
-def copy_confidences(model: Path, result: Path) -> Copied:
-    """Copy the confidence files of a model into another folder, that of a result, replacing none."""
+def copy_confidences(model: Path, result: Path) -> CopyResult:
+    """Copy the confidence files of a model into the folder of a result, without replacing files."""
     if "-" in (str(model), str(result)) or model.resolve().parent == result.resolve().parent:
-        return Copied()
+        return CopyResult()
     written, left = [], []
     for path in confidence_files(model):
-        to = result.with_name(path.name)
+        target = result.with_name(path.name)
         if path.stat().st_size > _LARGEST:
             left.append(f"{path}: is larger than {_LARGEST // 10**9} GB and was not copied beside the result")
-        elif not to.exists():
-            write_atomically(to, partial(shutil.copyfile, path))
-            written.append(to)
-        elif not cmp(path, to, shallow=False):
-            left.append(f"{path}: was not copied beside the result, because another {to.name} is there")
-    return Copied(tuple(written), tuple(left))
+        elif not target.exists():
+            write_atomically(target, partial(shutil.copyfile, path))
+            written.append(target)
+        elif not cmp(path, target, shallow=False):
+            left.append(f"{path}: was not copied beside the result, because another {target.name} is there")
+    return CopyResult(tuple(written), tuple(left))
 
 
 class Confidence(NamedTuple):
-    """What confidence files say of a complex."""
+    """Predicted confidence of a complex, from its confidence files."""
 
     iptm: float | None  # Of the whole model.
-    pairs: Any = ()  # IpTM of pairs of chains: rows by the place of the chains, or by their names.
-    # (nt, nt): Predicted error of every token, its column, aligned on another, its row.
+    pairs: Any = ()  # IpTM of chain pairs: rows by chain index, or a dict by chain ids.
+    # (nt, nt): Predicted aligned error of the token of the column, aligned on the token of the row.
     pae: Floats | None = None
-    order: tuple[str, ...] = ()  # Chains in the order of the tokens; that of the model file if empty.
+    order: tuple[str, ...] = ()  # Chains in the order of the tokens. If empty, the order of the model file.
 
-    def between(self, chains: Sequence[str], one: Set[str], other: Set[str]) -> float | None:
-        """IpTM of two sides."""
+    def mean_iptm(self, chains: Sequence[str], first: Set[str], second: Set[str]) -> float | None:
+        """Return the mean ipTM of the chain pairs between two groups of chains."""
         if not self.pairs:
             return self.iptm if len(chains) == 2 else None
         chains = self.order or chains
         if isinstance(self.pairs, dict):
-            noted = {tuple(re.findall(r"[^(),\s-]+", key)): value for key, value in self.pairs.items()}
+            iptms = {tuple(re.findall(r"[^(),\s-]+", key)): value for key, value in self.pairs.items()}
         else:
-            noted = {
+            iptms = {
                 (a, b): value
                 for a, row in zip(chains, self.pairs, strict=False)
                 for b, value in zip(chains, row, strict=False)
             } if len(self.pairs) == len(chains) else {}  # fmt: skip
-        both = [pair for a in one for b in other if a != b for pair in ((a, b), (b, a))]
-        values = [float(noted[pair]) for pair in both if noted.get(pair) is not None]
+        pairs = [pair for a in first for b in second if a != b for pair in ((a, b), (b, a))]
+        values = [float(iptms[pair]) for pair in pairs if iptms.get(pair) is not None]
         return sum(values) / len(values) if values else None
 
     def tokens(self, atoms: Sequence[str]) -> dict[tuple[str, str], int]:
-        """Token of each residue, by chain and number: its only one, or that of its CA or C1'."""
+        """Return the token index of each residue, by chain and number: its only token, or its CA or C1'."""
         if self.pae is None:
             return {}
         residues: dict[str, dict[tuple[str, str], list[str]]] = {name: {} for name in self.order}
         for atom in atoms:
             chain, number, residue, name = atom.split("/")[:4]
-            its = residues.setdefault(chain, {}).setdefault((number, residue), [])
+            names_of_residue = residues.setdefault(chain, {}).setdefault((number, residue), [])
             if name == residue or not name.lstrip("0123456789").startswith("H"):
-                its.append(name)
-        found, n = {}, 0
-        for chain, each in residues.items():
-            for (number, residue), names in each.items():
+                names_of_residue.append(name)
+        token_of, n = {}, 0
+        for chain, chain_residues in residues.items():
+            for (number, residue), names in chain_residues.items():
                 single = gemmi.find_tabulated_residue(residue).is_standard()
                 place = next((names.index(name) for name in ("CA", "C1'") if name in names), 0)
-                found[chain, number] = n + (0 if single else place)
+                token_of[chain, number] = n + (0 if single else place)
                 n += 1 if single else len(names)
-        return found if n == len(self.pae) else {}
+        return token_of if n == len(self.pae) else {}
 
 
-def confidence_in(files: Sequence[Path]) -> Confidence | None:
-    """Read the confidence files of a model; None without files. What cannot be read is left out."""
+def read_scores(files: Sequence[Path]) -> Confidence | None:
+    """Read the confidence files of a model. Unreadable files are skipped. Return None without files."""
     if not files:
         return None
-    noted: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     for path in files:
-        noted = _read(path) | noted
+        data = _read(path) | data
     try:
-        iptm, pairs = noted.get("iptm"), next((noted[name] for name in _OF_PAIRS if name in noted), ())
+        iptm, pairs = data.get("iptm"), next((data[name] for name in _IPTM_KEYS if name in data), ())
         if isinstance(pairs, dict) and all(isinstance(row, dict) for row in pairs.values()):
-            # Boltz tells places, not names.
+            # Boltz writes chain indices, not ids.
             pairs = [[pairs[a][b] for b in sorted(pairs, key=int)] for a in sorted(pairs, key=int)]
         rows = [pairs.values()] if isinstance(pairs, dict) else pairs
         if any(value is not None and not isinstance(value, int | float) for row in rows for value in row):
             return Confidence(None)
         if not isinstance(pairs, dict) and any(len(row) != len(pairs) for row in pairs):
             return Confidence(None)
-        errors = next((noted[name] for name in _OF_ERRORS if name in noted), None)
+        errors = next((data[name] for name in _PAE_KEYS if name in data), None)
         pae = None if errors is None else np.array(errors, dtype=float)
         if pae is not None and pae.shape != (len(pae), len(pae)):
             return Confidence(None)
-        order = tuple(dict.fromkeys(map(str, noted.get("token_chain_ids", ()))))
+        order = tuple(dict.fromkeys(map(str, data.get("token_chain_ids", ()))))
         return Confidence(None if iptm is None else float(iptm), pairs, pae, order)
     except (ValueError, TypeError, KeyError, OverflowError):
         return Confidence(None)
@@ -163,17 +163,17 @@ def _read(path: Path) -> dict[str, Any]:
             with np.load(path) as file:
                 if sum(member.file_size for member in file.zip.infolist()) > _LARGEST_READ:
                     return {}
-                return {name: file[name].squeeze().tolist() for name in {*file} & {"iptm", *_OF_PAIRS, "pae"}}
-        noted = json.loads(path.read_text(encoding="utf-8"))
-        noted = noted[0] if isinstance(noted, list) and noted else noted
-        return noted if isinstance(noted, dict) else {}
+                return {key: file[key].squeeze().tolist() for key in {*file} & {"iptm", *_IPTM_KEYS, "pae"}}
+        data = json.loads(path.read_text(encoding="utf-8"))
+        data = data[0] if isinstance(data, list) and data else data
+        return data if isinstance(data, dict) else {}
     except (OSError, ValueError, TypeError, BadZipFile, RecursionError, MemoryError):
         return {}
 
 
-_OF_PAIRS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pairwise_iptm")
-"""Names of what AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold say of pairs of chains."""
-_OF_ERRORS = ("pae", "token_pair_pae", "predicted_aligned_error")
-"""Names of the errors of pairs of tokens: of most, of Protenix, and of AlphaFold 2."""
+_IPTM_KEYS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pairwise_iptm")
+"""Keys of the ipTM of chain pairs of AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold."""
+_PAE_KEYS = ("pae", "token_pair_pae", "predicted_aligned_error")
+"""Keys of the predicted aligned errors: most programs, Protenix, AlphaFold 2."""
 _LARGEST_READ = 200_000_000
 """Bytes, unpacked: some 4000 tokens."""

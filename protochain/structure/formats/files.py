@@ -29,7 +29,7 @@ from protochain.structure.formats.chain_splitting import (
     separate_molecules,
 )
 from protochain.structure.formats.ions import name_ions
-from protochain.structure.formats.pdb_text import add_elements, is_atom, join_segments, without_indents
+from protochain.structure.formats.pdb_text import add_elements, is_atom, join_segments, remove_indents
 from protochain.structure.formats.records import of_cif, of_pdb
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD, Residue
@@ -328,7 +328,7 @@ def _corrected(
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
     """Check the columns of a PDB file that gemmi reads; correct what is clear; and long names."""
     lines = text.split("\n")
-    if indented := without_indents(lines):
+    if indented := remove_indents(lines):
         overlooked.append(Repair(Kind.INDENTED, {"count": indented}))
     lines, joined = join_segments(lines, source)
     overlooked += joined

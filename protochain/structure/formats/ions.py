@@ -1,4 +1,4 @@
-"""Ions of one atom: element and charge by the names that the archive and programs give them."""
+"""Element and charge of monatomic ions, from their names in the PDB and in simulation programs."""
 
 from collections.abc import Iterable
 
@@ -22,25 +22,25 @@ _ARCHIVE = {
     "XE": ("Xe", 0), "Y1": ("Y", 2), "YB": ("Yb", 3), "YB2": ("Yb", 2), "YT3": ("Y", 3), "ZCM": ("Cm", 3),
     "ZN": ("Zn", 2), "ZN2": ("Zn", 2), "ZR": ("Zr", 4), "ZTM": ("Ac", 3),
 }  # fmt: skip
-"""Components of one atom in the Chemical Component Dictionary (Westbrook et al., Bioinformatics 31:1274,
-2015), but those of hydrogen, nitrogen and the oxygen group."""
+"""Monatomic components of the Chemical Component Dictionary (Westbrook et al., Bioinformatics 31:1274,
+2015), except hydrogen, nitrogen and the oxygen group."""
 _PROGRAMS = {
     "LIT": ("Li", 1), "SOD": ("Na", 1), "POT": ("K", 1), "RUB": ("Rb", 1), "CES": ("Cs", 1),
     "CAL": ("Ca", 2), "BAR": ("Ba", 2), "CD2": ("Cd", 2), "CLA": ("Cl", -1), "I": ("I", -1), "C0": ("Ca", 2),
     "IB": ("Na", 1), "IP": ("Na", 1), "IM": ("Cl", -1), "CIO": ("Cs", 1), "SN": ("Sn", 2), "HF": ("Hf", 4),
     "RA": ("Ra", 2), "MG2": ("Mg", 2), "CA2": ("Ca", 2), "ER": ("Er", 3), "Y": ("Y", 3),
 }  # fmt: skip
-"""Names of CHARMM (toppar_water_ions.str), of Amber (atomic_ions.lib) and of GROMACS's ions.itp."""
+"""Names in CHARMM (toppar_water_ions.str), Amber (atomic_ions.lib) and GROMACS (ions.itp)."""
 _IONS = _ARCHIVE | _PROGRAMS
-_OF_ELEMENT = dict(_IONS.values()) | {
+_ION_CHARGE = dict(_IONS.values()) | {
     element: charge for name, (element, charge) in _IONS.items() if name == element.upper()
 }
-"""The charge of each element's ion: of the component that is called as the element, if there is one."""
+"""Charge of each element's ion. A component with the name of the element has priority."""
 _OXIDATION_STATES = {"Fe": 2, "Co": 3, "Mn": 3, "Ni": 2, "Cu": 2, "Mo": 4, "Ru": 2, "V": 4}
-"""Of metals in complexes, beside those of their ions: ferrous hemes, cobalamins as cob(III)alamin, manganese
-porphyrins."""
+"""Oxidation states of metals in complexes that differ from their ions: ferrous hemes, cobalamins as
+cob(III)alamin, manganese porphyrins."""
 _OXIDATION_STATES_BY_NAME = {("F43", "Ni"): 1, ("MNH", "Mn"): 2, ("COH", "Co"): 2, ("SIR", "Co"): 2}
-"""Of components of the dictionary: F430 as in active methyl-coenzyme M reductase (Goubeaud, Schreiner,
+"""Oxidation states by component: F430 as in active methyl-coenzyme M reductase (Goubeaud, Schreiner,
 Thauer, Eur. J. Biochem. 243:110, 1997), porphyrins by their names."""
 _CLUSTERS = {
     "SF4": (3, 3, 2, 2), "FES": (3, 3), "F3S": (3, 3, 3), "CUA": (2, 1), "CUZ": (2, 1, 1, 1), "CLF": (2,) * 8,
@@ -50,33 +50,33 @@ _CLUSTERS = {
 """Oxidation states of the metals of clusters, in any order: [Fe4S4]2+, [Fe2S2]2+, [Fe3S4]1+ (Beinert, Holm,
 Munck, Science 277:653, 1997), CuA 3+, CuZ and the copper-sulphide site (Solomon et al., Chem. Rev. 114:3659,
 2014), P cluster 2+ and cofactor 1- of nitrogenase (Van Stappen et al., Chem. Rev. 120:5005, 2020), S1 of
-photosystem II (Krewald et al., Chem. Sci. 6:1676, 2015); ammines by the dictionary."""
+photosystem II (Krewald et al., Chem. Sci. 6:1676, 2015). Ammines are from the dictionary."""
 _ANIONS = {"S": -2, "O": -2, "Cl": -1, "C": -4}
 _CHARGE = "+-0123456789"
-_ANY = ("ION", "IONS")
-"""Residue names under which GROMACS has every ion."""
+_GENERIC_NAMES = ("ION", "IONS")
+"""Residue names that GROMACS uses for every ion."""
 
 
 def name_ions(structure: gemmi.Structure) -> None:
-    """Give single atoms element and charge of the ion of their name: gemmi takes SOD for sulphur."""
+    """Set element and charge of monatomic residues from their names. gemmi reads SOD as sulphur."""
     for model in structure:
         for residue in (residue for chain in model for residue in chain):
             if len({atom.name for atom in residue}) == 1:
-                its = _ion(residue.name.strip().upper(), residue[0].name.upper())
+                ion = _ion(residue.name.strip().upper(), residue[0].name.upper())
                 for atom in residue:
-                    if its:
-                        atom.element = gemmi.Element(its[0])
-                    atom.charge = atom.charge or (its[1] if its else _OF_ELEMENT.get(atom.element.name, 0))
+                    if ion:
+                        atom.element = gemmi.Element(ion[0])
+                    atom.charge = atom.charge or (ion[1] if ion else _ION_CHARGE.get(atom.element.name, 0))
 
 
 def oxidation_state(name: str, element: str) -> int:
-    """Oxidation state of a metal in a complex, by the name of its component and its element."""
-    usual = _OXIDATION_STATES.get(element, _OF_ELEMENT.get(element, 0))
+    """Return the oxidation state of a metal in a complex, from its component and its element."""
+    usual = _OXIDATION_STATES.get(element, _ION_CHARGE.get(element, 0))
     return _OXIDATION_STATES_BY_NAME.get((name, element), usual)
 
 
 def charge_cluster(name: str, atoms: Iterable[gemmi.Atom]) -> None:
-    """Give the atoms of a cluster of metals their formal charges, unless the file gives some."""
+    """Set the formal charges of the atoms of a metal cluster, unless the file has charges."""
     atoms = [*atoms]
     if name not in _CLUSTERS or any(a.charge for a in atoms):
         return
@@ -85,16 +85,16 @@ def charge_cluster(name: str, atoms: Iterable[gemmi.Atom]) -> None:
         a.charge = next(states, 0) if a.element.is_metal else _ANIONS.get(a.element.name, 0)
 
 
-def is_known(atom: gemmi.Atom) -> bool:
-    """Whether the charge of an atom that stands alone is known: it is no metal, or its ion is."""
-    return bool(atom.charge) or not atom.element.is_metal or atom.element.name in _OF_ELEMENT
+def has_known_charge(atom: gemmi.Atom) -> bool:
+    """Return whether the charge of an isolated atom is known, as of nonmetals and listed metal ions."""
+    return bool(atom.charge) or not atom.element.is_metal or atom.element.name in _ION_CHARGE
 
 
 def _ion(residue: str, atom: str) -> tuple[str, int] | None:
-    """Element and charge of an atom that is a residue of its own, by the names of both."""
-    name = atom if residue in _ANY else residue
-    for called in (name, name.rstrip(_CHARGE)):
-        its = _IONS.get(called)
-        if its and atom.rstrip(_CHARGE) in {name, called, called.rstrip(_CHARGE), its[0].upper()}:
-            return its
+    """Return element and charge of a monatomic residue, from its residue and atom names."""
+    name = atom if residue in _GENERIC_NAMES else residue
+    for spelling in (name, name.rstrip(_CHARGE)):
+        ion = _IONS.get(spelling)
+        if ion and atom.rstrip(_CHARGE) in {name, spelling, spelling.rstrip(_CHARGE), ion[0].upper()}:
+            return ion
     return None

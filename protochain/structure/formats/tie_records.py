@@ -1,6 +1,6 @@
-"""Springs of bonds to molecules kept with the protein, from file to file: read again, they pull as before.
+"""Records of the springs between the protein and hetero molecules, which make results readable again.
 
-mmCIF has them in a category of its own, a PDB file in the columns of a remark.
+mmCIF files have a separate category for the springs, PDB files a remark with fixed columns.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,34 +15,37 @@ from protochain.structure.molecule.model import Structure
 
 CATEGORY = "_protochain_tie."
 _REMARK = "REMARK 980"
-"""A number that the PDB does not use."""
+"""Remark number that the PDB does not use."""
 _ENDS = ("auth_asym_id_{}", "auth_seq_id_{}", "PDB_ins_code_{}", "auth_atom_id_{}")
 DIGITS = 9
-"""Of nm and rad in a remark, and so of springs anywhere: read again, they are the same."""
+"""Decimals of nm and rad in a remark. All springs are rounded to them, so that reading restores them."""
 _START, _WIDTH = 11, 12
-"""Columns of a remark: chain, number with insertion code and name of up to three atoms, rest, stiffness."""
+"""Columns of a remark: chain, residue number, insertion code and name of three atoms, rest, stiffness."""
 
 Spring = tuple[tuple[Address, ...], float, float]
-"""Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2); an atom of a molecule that stays in place."""
+"""Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2). One atom alone marks a fixed molecule."""
 
 
 def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
-    """Return the springs that a file states, by their atoms."""
+    """Return rest and stiffness of the springs in a file, by their atoms."""
     block = gemmi.cif.read_string(records).sole_block() if CATEGORY in records else gemmi.cif.Block("")
     columns = block.get_mmcif_category(CATEGORY, raw=True)
-    found: dict[tuple[Address, ...], tuple[float, float]] = {}
+    constants: dict[tuple[Address, ...], tuple[float, float]] = {}
     for values in zip(*columns.values(), strict=True):
         row = {item: gemmi.cif.as_string(value) for item, value in zip(columns, values, strict=True)}
         ends = [[row.get(item.format(k), "") for item in _ENDS] for k in (1, 2, 3)]
         atoms = tuple((chain, number + code, name) for chain, number, code, name in ends if name)
-        rest, stiffness = (_number(row.get(item, "")) for item in ("rest", "stiffness"))
-        if atoms and isfinite(rest) and isfinite(stiffness) and rest >= 0.0 and stiffness >= 0.0:
-            found[atoms] = (rest, stiffness)
-    return found
+        r0, stiffness = (_number(row.get(item, "")) for item in ("rest", "stiffness"))
+        if atoms and isfinite(r0) and isfinite(stiffness) and r0 >= 0.0 and stiffness >= 0.0:
+            constants[atoms] = (r0, stiffness)
+    return constants
 
 
 def of_structure(structure: Structure) -> list[Spring]:
-    """Springs of a structure; an atom of each kept molecule that stays, or is free, but waters, sugars."""
+    """Return the springs of a structure, and one atom of each fixed or free hetero molecule.
+
+    Waters, and molecules bonded to the protein that move with it, have no such atom.
+    """
     residue = structure.atom_residue
 
     def address(atom: int) -> Address:
@@ -50,23 +53,23 @@ def of_structure(structure: Structure) -> list[Spring]:
         number = f"{structure.residue_number[r]}{structure.residue_insertion_code[r]}"
         return str(structure.residue_chain[r]), number, str(structure.atom_name[atom])
 
-    found: list[Spring] = [
+    records: list[Spring] = [
         (tuple(address(atom) for atom in tie.atoms), tie.rest, tie.stiffness) for tie in structure.ties
     ]
     drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
     waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
     molecule = components(structure.bonds[~structure.coordination], structure.n_atoms)
     borne = structure.mobile & np.isin(molecule, molecule[~structure.kept])
-    there = structure.kept & (structure.atom_element != "H") & ~borne
-    residues, first = np.unique(residue[there], return_index=True)
-    for r, k in zip(residues.tolist(), np.flatnonzero(there)[first].tolist(), strict=True):
+    is_candidate = structure.kept & (structure.atom_element != "H") & ~borne
+    residues, first = np.unique(residue[is_candidate], return_index=True)
+    for r, k in zip(residues.tolist(), np.flatnonzero(is_candidate)[first].tolist(), strict=True):
         if r not in waters and (structure.obstacle[k] or r not in drawn):
-            found.append(((address(k),), 0.0, 0.0))
-    return found
+            records.append(((address(k),), 0.0, 0.0))
+    return records
 
 
-def as_rows(found: Iterable[Spring]) -> list[dict[str, str]]:
-    """Return the rows of the category."""
+def as_rows(records: Iterable[Spring]) -> list[dict[str, str]]:
+    """Return springs as rows of the mmCIF category."""
     return [
         {
             "ordinal": f"{n}",
@@ -75,24 +78,24 @@ def as_rows(found: Iterable[Spring]) -> list[dict[str, str]]:
                 for k in range(3)
                 for part, item in enumerate(_ENDS)
             },
-            "rest": repr(rest),
+            "rest": repr(r0),
             "stiffness": repr(stiffness),
         }
-        for n, (atoms, rest, stiffness) in enumerate(found, 1)
+        for n, (atoms, r0, stiffness) in enumerate(records, 1)
     ]
 
 
-def as_remarks(found: Iterable[Spring]) -> list[str]:
-    """Return the remarks of a PDB file."""
-    made = []
-    for atoms, rest, stiffness in found:
-        cells = "".join(f"{chain:1}{_padded(number):>5} {name:<4} " for chain, number, name in atoms)
-        made.append(f"{_REMARK} {cells.ljust(3 * _WIDTH)}{rest:12.{DIGITS}f}{stiffness:11.1f}")
-    return made
+def as_remarks(records: Iterable[Spring]) -> list[str]:
+    """Return springs as remarks of a PDB file."""
+    remarks = []
+    for atoms, r0, stiffness in records:
+        cells = "".join(f"{chain:1}{_pad_number(number):>5} {name:<4} " for chain, number, name in atoms)
+        remarks.append(f"{_REMARK} {cells.ljust(3 * _WIDTH)}{r0:12.{DIGITS}f}{stiffness:11.1f}")
+    return remarks
 
 
 def of_remarks(lines: Iterable[str]) -> list[dict[str, str]]:
-    """Return the rows of the category that the remarks of a PDB file tell."""
+    """Return the remarks of a PDB file as rows of the mmCIF category."""
     return as_rows(_of_remarks(lines))
 
 
@@ -103,16 +106,16 @@ def _of_remarks(lines: Iterable[str]) -> Iterator[Spring]:
             atoms = tuple(
                 (cell[:1].strip(), cell[1:6].strip(), cell[7:11].strip()) for cell in cells if cell.strip()
             )
-            rest, _, stiffness = line[_START + 3 * _WIDTH :].strip().partition(" ")
-            yield atoms, _number(rest), _number(stiffness)
+            r0, _, stiffness = line[_START + 3 * _WIDTH :].strip().partition(" ")
+            yield atoms, _number(r0), _number(stiffness)
 
 
 def _number(text: str) -> float:
     return float(gemmi.cif.as_number(text.strip() or "?", float("nan")))
 
 
-def _padded(number: str) -> str:
-    """Number and insertion code, with the code in a column of its own."""
+def _pad_number(number: str) -> str:
+    """Return residue number and insertion code, with a separate column for the code."""
     return number if number[-1:].isalpha() else f"{number} "
 
 

@@ -15,7 +15,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
 from protochain.core.markup import counted, listed
-from protochain.structure.formats.ions import charge_cluster, is_known
+from protochain.structure.formats.ions import charge_cluster, has_known_charge
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Member, Unknown
@@ -177,7 +177,7 @@ def _why_unusable(member: Member) -> Why | None:
         atom.is_hydrogen() for atom in member.atoms
     ):
         return Why.ELEMENT
-    return Why.CHARGE if len(member.atoms) == 1 and not is_known(member.atoms[0]) else None
+    return Why.CHARGE if len(member.atoms) == 1 and not has_known_charge(member.atoms[0]) else None
 
 
 def _near(
