@@ -123,8 +123,8 @@ def _status(records: list[dict[str, Any]]) -> int:
 def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:
     """Pair each model with its output."""
     from protochain.structure.formats.files import split_name
+    from protochain.structure.preparation.model_choice import refuse_absent
     from protochain.structure.preparation.read import model_numbers
-    from protochain.structure.preparation.selection import refuse_absent
 
     if not isinstance(setup.model, str):
         if one_file:

@@ -15,9 +15,9 @@ from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import fragments
 from protochain.structure.preparation.hetero_molecules import Candidate, check_words, report_kept, water_named
+from protochain.structure.preparation.model_choice import likeliest, same_place
 from protochain.structure.preparation.prepare import run
 from protochain.structure.preparation.recognise import by_element
-from protochain.structure.preparation.selection import likeliest, same_place
 from protochain.structure.preparation.sites import measure, moves, ties
 from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 

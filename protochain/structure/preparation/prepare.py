@@ -33,10 +33,10 @@ from protochain.structure.preparation import (
     fragments,
     hetero_molecules,
     ligand_chemistry,
+    model_choice,
     periodic,
     protonate,
     pseudo_atoms,
-    selection,
     sites,
 )
 from protochain.structure.preparation import read as chain_passes
@@ -46,14 +46,14 @@ Pass = Callable[[Draft], Iterable[Repair | Omission]]
 """A step of a preparation, which changes a draft and yields what it changed."""
 
 READING: tuple[Pass, ...] = (
-    selection.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
-    selection.choose_model,
+    model_choice.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
+    model_choice.choose_model,
     pseudo_atoms.remove_pseudo_atoms,
     periodic.make_whole,  # Molecules that a periodic box cuts.
-    selection.correct_atoms,  # Occupancies, deuterium, elements.
+    model_choice.correct_atoms,  # Occupancies, deuterium, elements.
     chain_passes.read_bonds,  # Bonds that the file states.
-    selection.choose_chains,
-    selection.choose_altlocs,
+    model_choice.choose_chains,
+    model_choice.choose_altlocs,
     chain_passes.split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
     chain_passes.join_chains,  # Pieces whose ends are bonded.
     chain_passes.add_poses,  # Molecules that the user gives.

@@ -29,8 +29,8 @@ from protochain.structure.molecule.templates import (
 from protochain.structure.preparation.complete import complete_backbone
 from protochain.structure.preparation.hetero_molecules import report_unresolved, water_named
 from protochain.structure.preparation.ligand_chemistry import with_pose
+from protochain.structure.preparation.model_choice import Conformation, in_file, likeliest
 from protochain.structure.preparation.parents import convert_to_parent, fullest
-from protochain.structure.preparation.selection import Conformation, in_file, likeliest
 from protochain.structure.preparation.structure_draft import Candidate, Changes, Draft, Omission, Part, losses
 
 PEPTIDE_BREAK = 2.0

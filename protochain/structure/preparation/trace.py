@@ -8,8 +8,8 @@ from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.model import Structure
+from protochain.structure.preparation.model_choice import likeliest, same_place
 from protochain.structure.preparation.read import standard_parent
-from protochain.structure.preparation.selection import likeliest, same_place
 
 
 def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
