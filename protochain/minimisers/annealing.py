@@ -88,20 +88,20 @@ class Annealing:
                 time_step *= 0.5
         else:
             return None
-        done = state.n_steps + 1
-        warmth = MOLAR_GAS * self.temperature * (1.0 - done / self.n_steps)
-        thermostat = Langevin(warmth, self.friction)
-        random = partial(noise, self.seed, done)
+        n_steps = state.n_steps + 1
+        thermal_energy = MOLAR_GAS * self.temperature * (1.0 - n_steps / self.n_steps)
+        thermostat = Langevin(thermal_energy, self.friction)
+        random = partial(noise, self.seed, n_steps)
         phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, random)
-        return AnnealingState(seen[-1], phase.qd, done)
+        return AnnealingState(seen[-1], phase.qd, n_steps)
 
     def _time_step(self, space: Torsions, phase: "Phase") -> float:
         """Time step, shortened where velocities or accelerations would turn a freedom too far."""
-        fastest = float(np.max(np.abs(phase.qd / space.scale), initial=0.0))
-        pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale), initial=0.0))
+        rate = float(np.max(np.abs(phase.qd / space.scale), initial=0.0))
+        acceleration = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale), initial=0.0))
         shortest = min(
-            LONGEST_TURN / fastest if fastest > 0.0 else np.inf,
-            np.sqrt(2.0 * LONGEST_TURN / pushed) if pushed > 0.0 else np.inf,
+            LONGEST_TURN / rate if rate > 0.0 else np.inf,
+            np.sqrt(2.0 * LONGEST_TURN / acceleration) if acceleration > 0.0 else np.inf,
         )
         return min(self.time_step, shortest)
 

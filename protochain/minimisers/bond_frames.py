@@ -35,18 +35,18 @@ def legs_of(bonds: Integers, mass: Floats) -> Integers:
     # other.
     n = len(mass)
     ends = both_ways(bonds)
-    atom, other = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
+    atom, neighbour = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
     # The last atoms look beyond the end.
     first, count = np.searchsorted(atom, np.arange(n)), np.bincount(atom, minlength=n)
-    near = np.array([*other, -1, -1])[first[:, None] + np.arange(2)]
-    near[count < 2, 1] = near[count < 1, 0] = -1
-    found = np.column_stack([np.arange(n), near])
-    found[count == 0] = -1
+    neighbours = np.array([*neighbour, -1, -1])[first[:, None] + np.arange(2)]
+    neighbours[count < 2, 1] = neighbours[count < 1, 0] = -1
+    legs = np.column_stack([np.arange(n), neighbours])
+    legs[count == 0] = -1
     ending = np.flatnonzero(count == 1)
-    parent = near[ending, 0]
-    beyond = np.where(near[parent, 0] == ending, near[parent, 1], near[parent, 0])
-    found[ending] = np.where(beyond[:, None] < 0, -1, np.column_stack([parent, ending, beyond]))
-    return found
+    parent = neighbours[ending, 0]
+    beyond = np.where(neighbours[parent, 0] == ending, neighbours[parent, 1], neighbours[parent, 0])
+    legs[ending] = np.where(beyond[:, None] < 0, -1, np.column_stack([parent, ending, beyond]))
+    return legs
 
 
 @kernel
@@ -68,44 +68,44 @@ def _axes(x: Floats, legs: Integers, i: int) -> tuple[Vector, Vector, Vector]:
 @kernel
 def inward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
     """Vectors (na, 3) of the world, in the atoms' frames at x (na, 3)."""
-    found = np.empty_like(vectors)
+    components = np.empty_like(vectors)
     for i in range(len(vectors)):
         a, b, c = _axes(x, legs, i)
         v = vector(vectors, i)
-        put((dot(a, v), dot(b, v), dot(c, v)), found, i, 0)
-    return found
+        put((dot(a, v), dot(b, v), dot(c, v)), components, i, 0)
+    return components
 
 
 @kernel
 def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
     """Vectors (na, 3) of the atoms' frames at x (na, 3), in the world."""
-    found = np.empty_like(vectors)
+    world_vectors = np.empty_like(vectors)
     for i in range(len(vectors)):
         a, b, c = _axes(x, legs, i)
         u, v, w = vector(vectors, i)
-        put(add(scale(u, a), add(scale(v, b), scale(w, c))), found, i, 0)
-    return found
+        put(add(scale(u, a), add(scale(v, b), scale(w, c))), world_vectors, i, 0)
+    return world_vectors
 
 
 @kernel
-def moved(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
+def apply_step(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
     """Positions (na, 3) after a step, with bonds as long as to its first order."""
     # weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
-    wanted, at = np.empty(len(bonds)), x + step
+    lengths, at = np.empty(len(bonds)), x + step
     for n in range(len(bonds)):
         i, j = bonds[n, 0], bonds[n, 1]
         d = subtract(vector(x, i), vector(x, j))
         length = max(np.sqrt(dot(d, d)), _SHORT)
-        longer = dot(d, subtract(vector(step, i), vector(step, j))) / length
-        wanted[n] = max(length + longer, 0.5 * length)
+        extension = dot(d, subtract(vector(step, i), vector(step, j))) / length
+        lengths[n] = max(length + extension, 0.5 * length)
     for _ in range(SWEEPS):
         for n in range(len(bonds)):
             i, j = bonds[n, 0], bonds[n, 1]
-            both = weight[i] + weight[j]
-            if both > 0.0:
+            total = weight[i] + weight[j]
+            if total > 0.0:
                 d = subtract(vector(at, i), vector(at, j))
                 length = max(np.sqrt(dot(d, d)), _SHORT)
-                d = scale((wanted[n] - length) / (length * both), d)
+                d = scale((lengths[n] - length) / (length * total), d)
                 put(add(vector(at, i), scale(weight[i], d)), at, i, 0)
                 put(subtract(vector(at, j), scale(weight[j], d)), at, j, 0)
     return at

@@ -29,38 +29,38 @@ def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any])
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], x: Floats) -> Waypoint:
     """Read a waypoint of a plan: x (na, 3) nm."""
     remedy = "give a file that an earlier run wrote as its checkpoint"
-    with checkpoint(path, settings, "minimisation", remedy) as kept:
-        arrays, tree = kept.arrays, kept.values
-        number, place = tree["fields"]["stage"], tree["fields"].get("at")
+    with checkpoint(path, settings, "minimisation", remedy) as contents:
+        arrays, tree = contents.arrays, contents.values
+        number, position = tree["fields"]["stage"], tree["fields"].get("at")
         if type(number) is not int or not 0 <= number < len(plan):
             raise ValueError(f"stage {number!r} of {len(plan)}")
         stage = plan[number]
-        if stage.fit is not None and place is not None:
-            stage = stage.fit(stage, fitting(arrays[place["array"]], "at", x.shape))
+        if stage.fit is not None and position is not None:
+            stage = stage.fit(stage, fitting(arrays[position["array"]], "at", x.shape))
         waypoint: Waypoint = _Reader(arrays, stage, x).value(tree)
         if type(waypoint) is not Waypoint:
             raise ValueError(f"{type(waypoint).__name__} in place of a waypoint")
     return waypoint
 
 
-def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> Any:
+def _plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> Any:
     """Convert to values that JSON can hold; arrays are stored apart by name, each once."""
     if isinstance(value, np.ndarray):
-        name = known.get(id(value), f"a{len(arrays)}")
-        known[id(value)] = name
+        name = names.get(id(value), f"a{len(arrays)}")
+        names[id(value)] = name
         arrays[name] = value
         return {"array": name}
     if isinstance(value, tuple):
-        return [_plain(part, arrays, known) for part in value]
+        return [_plain(part, arrays, names) for part in value]
     if isinstance(value, Preconditioner):
-        return {"made_at": _plain(value.made_at, arrays, known), "age": value.age}
+        return {"made_at": _plain(value.made_at, arrays, names), "age": value.age}
     if isinstance(value, Evaluation):
         # The rest of the pose follows from q.
         numbers = (value.pose.q, value.energy, value.torque, value.residual, value.restraint)
-        return {"evaluation": _plain(numbers, arrays, known)}
+        return {"evaluation": _plain(numbers, arrays, names)}
     if is_dataclass(value):
         kind = type(value).__name__
-        parts = {field.name: _plain(getattr(value, field.name), arrays, known) for field in fields(value)}
+        parts = {field.name: _plain(getattr(value, field.name), arrays, names) for field in fields(value)}
         return {"kind": kind, "fields": parts}
     return value.item() if isinstance(value, np.generic) else value
 
@@ -77,8 +77,8 @@ class _Reader:
         self.q = at.shape
         self.v = stage.space.torque(stage.space.place(at), np.zeros_like(x)).shape
         self.x = x.shape
-        own = (*_KINDS, *getattr(stage.method, "states", ()))
-        self.kinds = {kind.__name__: kind for kind in own}
+        classes = (*_KINDS, *getattr(stage.method, "states", ()))
+        self.kinds = {kind.__name__: kind for kind in classes}
 
     def value(self, tree: Any) -> Any:
         """Value of a part."""
@@ -130,12 +130,12 @@ def _fit(value: Any, hint: Any, name: str, shape: tuple[int, ...]) -> None:
 
 
 def _is(value: Any, hint: Any) -> bool:
-    origin, inside = get_origin(hint), get_args(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return any(_is(value, each) for each in inside)
+        return any(_is(value, alternative) for alternative in arguments)
     if origin is tuple:
-        each = inside[:1] * len(value) if inside[1:] == (...,) else inside
-        return isinstance(value, tuple) and len(value) == len(each) and all(map(_is, value, each))
+        hints = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
+        return isinstance(value, tuple) and len(value) == len(hints) and all(map(_is, value, hints))
     if origin is np.ndarray:
         return isinstance(value, np.ndarray)
     if hint is float:

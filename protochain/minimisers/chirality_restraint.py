@@ -47,9 +47,9 @@ class ChiralityRestraint:
     @classmethod
     def preserving(cls, structure: Structure) -> "ChiralityRestraint":
         """Find the chiral atoms whose configuration is right at the structure's positions."""
-        every = cls.of(structure)
-        right = ~np.isin(every.atoms[:, 0], every.wrong(structure.positions))
-        return cls(every.atoms[right], every.least[right])
+        restraint = cls.of(structure)
+        is_correct = ~np.isin(restraint.atoms[:, 0], restraint.wrong(structure.positions))
+        return cls(restraint.atoms[is_correct], restraint.least[is_correct])
 
     def wrong(self, x: Floats) -> Integers:
         """(n,) int: inverted stereocentres at positions x (na, 3), nm."""

@@ -46,11 +46,11 @@ class Factor:
         return x
 
 
-def factorise(place: Integers, own: Floats, pairs: Integers, shared: Floats) -> Factor:
+def factorise(place: Integers, atom_blocks: Floats, pairs: Integers, pair_blocks: Floats) -> Factor:
     """Factorise a positive definite matrix: place (n,) int, own (n, 9), pairs (m, 2) int, shared (m, 9)."""
     start, rows, first, column, at = _pattern(place, pairs)
     blocks, inverse = np.zeros((len(rows), 9)), np.empty((len(place), 9))
-    _put(place, own, pairs, shared, start, rows, blocks, inverse)
+    _put(place, atom_blocks, pairs, pair_blocks, start, rows, blocks, inverse)
     _eliminate(start, rows, first, column, at, blocks, inverse)
     return Factor(place, start, rows, blocks, inverse)
 
@@ -115,13 +115,13 @@ def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Inte
 
 @kernel
 def _put(
-    place: Integers, own: Floats, pairs: Integers, shared: Floats, start: Integers, rows: Integers,
-    blocks: Floats, diagonal: Floats,
+    place: Integers, atom_blocks: Floats, pairs: Integers, pair_blocks: Floats, start: Integers,
+    rows: Integers, blocks: Floats, diagonal: Floats,
 ) -> None:  # fmt: skip
     """Write the matrix into the pattern of its factor: blocks below the diagonal, and those on it."""
     for i in range(len(place)):
         for p in range(9):
-            diagonal[place[i], p] = own[i, p]
+            diagonal[place[i], p] = atom_blocks[i, p]
     for m in range(len(pairs)):
         a, b = place[pairs[m, 0]], place[pairs[m, 1]]
         low, high = start[min(a, b)], start[min(a, b) + 1]
@@ -134,7 +134,7 @@ def _put(
         for p in range(3):
             for q in range(3):
                 # The block of row a and column b, or below the diagonal its transpose.
-                blocks[low, 3 * p + q] += shared[m, 3 * p + q] if a > b else shared[m, 3 * q + p]
+                blocks[low, 3 * p + q] += pair_blocks[m, 3 * p + q] if a > b else pair_blocks[m, 3 * q + p]
 
 
 @kernel
@@ -146,20 +146,20 @@ def _eliminate(
     n = len(diagonal)
     sums = np.zeros((n, 9))
     for j in range(n):
-        own = diagonal[j].copy()
+        pivot = diagonal[j].copy()
         for m in range(start[j], start[j + 1]):
             for p in range(9):
                 sums[rows[m], p] = blocks[m, p]
         for e in range(first[j], first[j + 1]):
-            here = at[e]
-            a, b, c, d, f, g, h, p, q = blocks[here]
-            own[0] -= a * a + b * b + c * c
-            own[3] -= d * a + f * b + g * c
-            own[4] -= d * d + f * f + g * g
-            own[6] -= h * a + p * b + q * c
-            own[7] -= h * d + p * f + q * g
-            own[8] -= h * h + p * p + q * q
-            for m in range(here + 1, start[column[e] + 1]):
+            block = at[e]
+            a, b, c, d, f, g, h, p, q = blocks[block]
+            pivot[0] -= a * a + b * b + c * c
+            pivot[3] -= d * a + f * b + g * c
+            pivot[4] -= d * d + f * f + g * g
+            pivot[6] -= h * a + p * b + q * c
+            pivot[7] -= h * d + p * f + q * g
+            pivot[8] -= h * h + p * p + q * q
+            for m in range(block + 1, start[column[e] + 1]):
                 i = rows[m]
                 for r in range(0, 9, 3):
                     u, v, w = blocks[m, r], blocks[m, r + 1], blocks[m, r + 2]
@@ -167,11 +167,11 @@ def _eliminate(
                     sums[i, r + 1] -= u * d + v * f + w * g
                     sums[i, r + 2] -= u * h + v * p + w * q
         # Lower triangle of the diagonal block's own factor, and its inverse.
-        s = 1.0 / np.sqrt(own[0])
-        x, y = own[3] * s, own[6] * s
-        t = 1.0 / np.sqrt(own[4] - x * x)
-        z = (own[7] - x * y) * t
-        o = 1.0 / np.sqrt(own[8] - y * y - z * z)
+        s = 1.0 / np.sqrt(pivot[0])
+        x, y = pivot[3] * s, pivot[6] * s
+        t = 1.0 / np.sqrt(pivot[4] - x * x)
+        z = (pivot[7] - x * y) * t
+        o = 1.0 / np.sqrt(pivot[8] - y * y - z * z)
         st, to = -x * s * t, -z * t * o
         so = (x * z * t - y) * s * o
         for p in range(9):

@@ -123,8 +123,8 @@ def _near(terms: Terms) -> NearTerms:
     wells = exceptions.parameters[:, 1] > 0.0
     return NearTerms(
         terms.n_atoms,
-        _joined(kinds["bonds"], kinds["ties"]),
-        _joined(kinds["angles"], kinds["tie angles"]),
+        _concatenate(kinds["bonds"], kinds["ties"]),
+        _concatenate(kinds["angles"], kinds["tie angles"]),
         atoms,
         waves,
         first,
@@ -136,8 +136,8 @@ def _near(terms: Terms) -> NearTerms:
     )
 
 
-def _joined(*some: Bonded) -> Bonded:
-    atoms, parameters = zip(*((term.atoms, term.parameters) for term in some), strict=True)
+def _concatenate(*groups: Bonded) -> Bonded:
+    atoms, parameters = zip(*((group.atoms, group.parameters) for group in groups), strict=True)
     return Bonded(np.concatenate(atoms), np.concatenate(parameters))
 
 
@@ -151,10 +151,10 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
     # A dihedral read backwards is the same.
     backwards = atoms[:, 0] > atoms[:, 3]
     atoms[backwards] = atoms[backwards, ::-1]
-    unique, which = np.unique(atoms, axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    order = np.argsort(which, kind="stable")
-    return unique, waves[order], np.searchsorted(which[order], np.arange(len(unique) + 1))
+    unique, index = np.unique(atoms, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    order = np.argsort(index, kind="stable")
+    return unique, waves[order], np.searchsorted(index[order], np.arange(len(unique) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,18 +201,20 @@ def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float 
     # x (na, 3) nm, coupled_from kJ/mol/nm^2.
     # Copies are writable, and kernels compiled once.
     x = np.array(x)
-    own, shared = np.zeros((terms.n_atoms, 9)), np.zeros((len(terms.pairs), 9))
+    atom_blocks, pair_blocks = np.zeros((terms.n_atoms, 9)), np.zeros((len(terms.pairs), 9))
     springs, gradients = bonded_springs(terms, x), bonded_gradients(terms, x)
     for (pairs, along, across), slots in zip(springs, terms.slots[:2], strict=True):
-        kernels.add_springs(x, pairs, along, across, slots.ravel(), own, shared)
-    for (atoms, each, stiffness), slots in zip(gradients, terms.slots[2:], strict=True):
-        kernels.add_gradients(atoms, each, stiffness, slots, own, shared)
+        kernels.add_springs(x, pairs, along, across, slots.ravel(), atom_blocks, pair_blocks)
+    for (atoms, g, stiffness), slots in zip(gradients, terms.slots[2:], strict=True):
+        kernels.add_gradients(atoms, g, stiffness, slots, atom_blocks, pair_blocks)
     pairs, along, across = near
     coupled = along > coupled_from
     slots = np.where(coupled, np.cumsum(coupled) - 1, -1)
-    more = np.zeros((int(coupled.sum()), 9))
-    kernels.add_springs(x, pairs, along, across, slots, own, more)
-    return Curvature(own, np.concatenate([terms.pairs, pairs[coupled]]), np.concatenate([shared, more]))
+    added = np.zeros((int(coupled.sum()), 9))
+    kernels.add_springs(x, pairs, along, across, slots, atom_blocks, added)
+    return Curvature(
+        atom_blocks, np.concatenate([terms.pairs, pairs[coupled]]), np.concatenate([pair_blocks, added])
+    )
 
 
 def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Springs:
@@ -248,21 +250,21 @@ def springs_solver(
 ) -> Callable[[Floats], Floats]:  # fmt: skip
     """Solver as of :func:`near_solver` for springs of bonds, angles, dihedrals and contacts."""
     near, x = near_by(structure, x, 3), np.array(x)
-    own, shared = np.zeros((len(x), 9)), np.zeros((len(bonded.pairs), 9))
-    for springs, slots in ((bonded, np.arange(len(shared))), (near, np.full(len(near.pairs), -1))):
+    atom_blocks, pair_blocks = np.zeros((len(x), 9)), np.zeros((len(bonded.pairs), 9))
+    for springs, slots in ((bonded, np.arange(len(pair_blocks))), (near, np.full(len(near.pairs), -1))):
         across = np.zeros(len(springs.pairs))
-        kernels.add_springs(x, springs.pairs, springs.stiffness, across, slots, own, shared)
+        kernels.add_springs(x, springs.pairs, springs.stiffness, across, slots, atom_blocks, pair_blocks)
     added = floor if tether is None else (floor + tether)[:, None]
-    return _solver(Curvature(own, bonded.pairs, shared), moving, added)
+    return _solver(Curvature(atom_blocks, bonded.pairs, pair_blocks), moving, added)
 
 
-def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
-    at.own[:, ::4] += added
+def _solver(model: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
+    model.own[:, ::4] += added
     # Pairs of atoms that both move, as places among these.
-    both = moving[at.pairs].all(axis=1)
-    pairs = (np.cumsum(moving) - 1)[at.pairs[both]]
+    is_coupled = moving[model.pairs].all(axis=1)
+    pairs = (np.cumsum(moving) - 1)[model.pairs[is_coupled]]
     order = elimination_order(int(moving.sum()), pairs)
-    factor = factorise(order, at.own[moving], pairs, at.shared[both])
+    factor = factorise(order, model.own[moving], pairs, model.shared[is_coupled])
 
     def solve(torque: Floats) -> Floats:
         step = np.zeros((len(moving), 3))

@@ -86,9 +86,9 @@ class Descent:
                     f"direction {type(self.direction).__name__}: propose yields shape {np.shape(direction)}, "
                     f"not that of the torques, {before.torque.shape}"
                 )
-            found = self.rule.step(problem, before, direction, state.rule)
-            if found is not None:
-                length, at, rule = found
+            accepted = self.rule.step(problem, before, direction, state.rule)
+            if accepted is not None:
+                length, at, rule = accepted
                 memory = self.direction.update(memory, before, length * direction, at)
                 return DescentState(at, preconditioner.next(problem.space, at), memory, rule)
         return None

@@ -70,7 +70,7 @@ class Fire:
         if short < 1.0:
             # Forces between overlapping atoms are too large: limit the step, and scale the velocity alike.
             turn, v = short * turn, short * v
-        found = problem.evaluate(problem.move(at.q, turn))
-        if not found.is_finite:
+        after = problem.evaluate(problem.move(at.q, turn))
+        if not after.is_finite:
             return None
-        return FireState(found, state.preconditioner.next(problem.space, found), v, dt, mixing, downhill)
+        return FireState(after, state.preconditioner.next(problem.space, after), v, dt, mixing, downhill)

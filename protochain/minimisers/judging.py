@@ -46,10 +46,10 @@ class Known:
         for at, lists_at, (value, forces) in self._known:
             if lists_at is self.energy.lists_at and np.array_equal(at, x):
                 return value, forces.copy()
-        found = self.energy(x)
+        result = self.energy(x)
         if self.energy.lists_at is not None:
-            self._known[1:] = [(x.copy(), self.energy.lists_at, (found[0], found[1].copy()))]
-        return found
+            self._known[1:] = [(x.copy(), self.energy.lists_at, (result[0], result[1].copy()))]
+        return result
 
     @part("judging")
     def judged(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
@@ -60,9 +60,9 @@ class Known:
             if first:
                 self.energy.list_at(x)
             return self(x)
-        known = getattr(self.energy, "chosen_by", None)
-        if known and self.judging is self.energy.exact and np.array_equal(known[0], x):
-            return known[1]
+        choice = getattr(self.energy, "chosen_by", None)
+        if choice and self.judging is self.energy.exact and np.array_equal(choice[0], x):
+            return choice[1]
         # The order of sums is that of the point. It may take many seconds for a large protein.
         self.judging.list_at(x)
         value, forces = run_interruptible(partial(self.judging, x))

@@ -98,8 +98,8 @@ def largest_eigenvalue(problem: Problem, at: Evaluation, n_products: int) -> flo
         products.append((before.torque - after.torque) / (2.0 * np.linalg.norm(turn)))
         new, scale = products[-1], np.linalg.norm(products[-1])
         for _ in range(2):
-            for each in vectors:
-                new = new - (each @ new) * each
+            for vector in vectors:
+                new = new - (vector @ new) * vector
         if np.linalg.norm(new) < 1e-6 * scale:
             break
     if not vectors:

@@ -17,10 +17,10 @@ TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a nu
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
 
 
-def _not_empty(given: str) -> str:
-    if not given.strip():
+def _not_empty(text: str) -> str:
+    if not text.strip():
         raise refused("restraint", "''", "give strengths, a restraint or a file, or leave it out")
-    return given
+    return text
 
 
 @dataclass(frozen=True, kw_only=True)

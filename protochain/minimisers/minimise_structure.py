@@ -194,12 +194,12 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
         with open_to_interrupts():
             start.warm(run.recipe)
         record = Recorder(start.chain.structure, _frame(start, run), watch)
-        done = _by_openmm(start, run, record) if run.recipe.by_openmm else _walked(start, run, record)
+        outcome = _by_openmm(start, run, record) if run.recipe.by_openmm else _run_stages(start, run, record)
         seconds = perf_counter() - record.started
-        if done.stop is Stop.INTERRUPTED:
-            record.at_stage(Stop.INTERRUPTED.value, done.n_evaluations)
-        record.at_stage("judging the end", done.n_evaluations)
-        return _judged(start, run, done, record, seconds)
+        if outcome.stop is Stop.INTERRUPTED:
+            record.at_stage(Stop.INTERRUPTED.value, outcome.n_evaluations)
+        record.at_stage("judging the end", outcome.n_evaluations)
+        return _judge(start, run, outcome, record, seconds)
 
 
 def _frame(start: Start, run: Minimisation) -> Frame:
@@ -215,7 +215,7 @@ def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
     return not run.hold.place and not knows_places(start.energy, start.chain.structure.positions)
 
 
-def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
+def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
     chain, hold = start.chain, run.hold
     reduced = start.energy_of(run.recipe)
@@ -237,14 +237,14 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
         if stage.recorded:
             record(at.x, at.energy - at.restraint, stage.space.sizes(at.torque), n_evaluations)
 
-    done = walk(plan, x, run.max_evaluations, allowed, note, waypoint)
-    if run.checkpoint and done.waypoint:
+    outcome = walk(plan, x, run.max_evaluations, allowed, note, waypoint)
+    if run.checkpoint and outcome.waypoint:
         try:
-            save_checkpoint(Path(run.checkpoint), done.waypoint, run.settings(start))
+            save_checkpoint(Path(run.checkpoint), outcome.waypoint, run.settings(start))
         except WriteError as error:
             # The result is worth more: it must not be lost with the checkpoint.
             warnings.warn(str(error), WriteWarning, stacklevel=2)
-    return done
+    return outcome
 
 
 def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
@@ -266,21 +266,21 @@ def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     )
 
 
-def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, seconds: float) -> Solution:
+def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, seconds: float) -> Solution:
     """Judge an outcome; the start itself is the result where the end is no better."""
-    chain, energy, held, structure = start.chain, start.energy, done.restraint, start.chain.structure
-    at, end = _better(start, done)
-    lowest = done.lowest_eigenvalue if at is not start.pose else None
-    residual = end.max_torque if isinstance(done.space, Torsions) else end.rms_force
-    met = done.complete and residual <= run.converged_at
-    residuals = _residuals(done, residual, run.converged_at, energy.engine, met, lowest)
-    stop = done.stop
+    chain, energy, restraint, structure = start.chain, start.energy, outcome.restraint, start.chain.structure
+    at, end = _select_end(start, outcome)
+    lowest = outcome.lowest_eigenvalue if at is not start.pose else None
+    residual = end.max_torque if isinstance(outcome.space, Torsions) else end.rms_force
+    met = outcome.complete and residual <= run.converged_at
+    residuals = _describe_residuals(outcome, residual, run.converged_at, energy.engine, met, lowest)
+    stop = outcome.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
     restraint_values = measure_restraints(structure, run.hold.listed, at.x)
-    left = [*rejected(structure, at.x), *describe_violations(restraint_values)]
-    status, ended = verdict(stop, met, residuals, structure, at.x, done.n_evaluations, left=left)
+    problems = [*rejected(structure, at.x), *describe_violations(restraint_values)]
+    status, ended = verdict(stop, met, residuals, structure, at.x, outcome.n_evaluations, left=problems)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)
@@ -296,8 +296,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         energy=start.known(at.x)[0],
         status=status,
         ended=ended,
-        n_iterations=done.n_iterations,
-        n_evaluations=done.n_evaluations,
+        n_iterations=outcome.n_iterations,
+        n_evaluations=outcome.n_evaluations,
         seconds=seconds,
         trace=trace,
         start=start.judgement,
@@ -308,7 +308,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.converged_at,
         hold=run.hold,
         seed=run.seed,
-        restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
+        restraints=restraint and (restraint(start.pose.x)[0], restraint(at.x)[0]),
         restraint_values=restraint_values,
         timings=until_now(),
         lowest_eigenvalue=lowest,
@@ -317,38 +317,38 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     )
 
 
-def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:
+def _select_end(start: Start, outcome: Outcome) -> tuple[Pose, Judgement]:
     """Pose and judgement of the end, or of the start where the end is no better, restraints included."""
-    if isinstance(done.space, Torsions):
-        chain = done.space.chain
-        at = pose(chain, done.q)
+    if isinstance(outcome.space, Torsions):
+        chain = outcome.space.chain
+        at = pose(chain, outcome.q)
     else:
-        chain = rebuilt(start.chain, read_only(done.x))
+        chain = rebuilt(start.chain, read_only(outcome.x))
         at = pose(chain, chain.q0)
     if np.array_equal(at.q, chain.q0):
         # No digit is rounded anew: the energies are those of the run, or of the start.
         at = replace(at, x=chain.structure.positions)
-    end = judge(chain, at, start.known.judged(at.x), done.restraint)
-    held = done.restraint or (lambda x: (0.0, x))
-    if end.energy + held(at.x)[0] <= start.judgement.energy + held(start.pose.x)[0]:
+    end = judge(chain, at, start.known.judged(at.x), outcome.restraint)
+    restraint = outcome.restraint or (lambda x: (0.0, x))
+    if end.energy + restraint(at.x)[0] <= start.judgement.energy + restraint(start.pose.x)[0]:
         return at, end
-    return start.pose, judge(start.chain, start.pose, start.judged, done.restraint)
+    return start.pose, judge(start.chain, start.pose, start.judged, outcome.restraint)
 
 
-def _residuals(
-    done: Outcome, residual: float, tolerance: float, engine: str, met: bool, lowest: float | None
+def _describe_residuals(
+    outcome: Outcome, residual: float, tolerance: float, engine: str, met: bool, lowest: float | None
 ) -> str:
     """What was measured of an end, in words: residual, judge and curvature."""
-    restrained = ", restraints included" if done.restraint else ""
-    judged = "judged by the callable itself" if engine == "custom" else "in double precision"
-    text = f"{done.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judged}"
-    known, unit = done.eigenvalue_at_most, done.space.eigenvalue_unit
+    restrained = ", restraints included" if outcome.restraint else ""
+    judgement = "judged by the callable itself" if engine == "custom" else "in double precision"
+    text = f"{outcome.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judgement}"
+    eigenvalue_bound, unit = outcome.eigenvalue_at_most, outcome.space.eigenvalue_unit
     if lowest is not None:
         flat = ", negative: a smaller tolerance leads lower" if lowest < 0.0 else ""
         return f"{text}; lowest eigenvalue of the Hessian {lowest:.3g} {unit}{flat}"
     if not met:
         return text
     text += "; curvature not examined"
-    if known is None:
+    if eigenvalue_bound is None:
         return text
-    return f"{text} to the end: the lowest eigenvalue of the Hessian is at most {known:.3g} {unit}"
+    return f"{text} to the end: the lowest eigenvalue of the Hessian is at most {eigenvalue_bound:.3g} {unit}"

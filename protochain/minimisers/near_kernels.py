@@ -91,26 +91,28 @@ def _put(v: Vector, gradients: Floats, n: int, k: int) -> None:
 
 @kernel
 def add_springs(
-    x: Floats, pairs: Integers, along: Floats, across: Floats, slots: Integers, own: Floats, shared: Floats
-) -> None:
+    x: Floats, pairs: Integers, along: Floats, across: Floats, slots: Integers, atom_blocks: Floats,
+    pair_blocks: Floats,
+) -> None:  # fmt: skip
     """Add along u u^T + across (1 - u u^T) of each pair, off the diagonal to its slot unless that is -1."""
     for n in range(len(pairs)):
         i, j, slot = pairs[n, 0], pairs[n, 1], slots[n]
         d = subtract(vector(x, i), vector(x, j))
-        more = (along[n] - across[n]) / max(dot(d, d), _TINY)
+        difference = (along[n] - across[n]) / max(dot(d, d), _TINY)
         for a in range(3):
             for b in range(3):
-                value = more * d[a] * d[b] + (across[n] if a == b else 0.0)
-                own[i, 3 * a + b] += value
-                own[j, 3 * a + b] += value
+                value = difference * d[a] * d[b] + (across[n] if a == b else 0.0)
+                atom_blocks[i, 3 * a + b] += value
+                atom_blocks[j, 3 * a + b] += value
                 if slot >= 0:
-                    shared[slot, 3 * a + b] -= value
+                    pair_blocks[slot, 3 * a + b] -= value
 
 
 @kernel
 def add_gradients(
-    atoms: Integers, gradients: Floats, stiffness: Floats, slots: Integers, own: Floats, shared: Floats
-) -> None:
+    atoms: Integers, gradients: Floats, stiffness: Floats, slots: Integers, atom_blocks: Floats,
+    pair_blocks: Floats,
+) -> None:  # fmt: skip
     """Add k g g^T of each term; the rows of a shared block are those of the atom with the smaller index."""
     for n in range(len(atoms)):
         pair = 0
@@ -118,7 +120,7 @@ def add_gradients(
             i = atoms[n, p]
             for a in range(3):
                 for b in range(3):
-                    own[i, 3 * a + b] += stiffness[n] * gradients[n, p, a] * gradients[n, p, b]
+                    atom_blocks[i, 3 * a + b] += stiffness[n] * gradients[n, p, a] * gradients[n, p, b]
             for q in range(p + 1, atoms.shape[1]):
                 row, column = (p, q) if i < atoms[n, q] else (q, p)
                 slot = slots[n, pair]
@@ -126,7 +128,7 @@ def add_gradients(
                 for a in range(3):
                     for b in range(3):
                         product = gradients[n, row, a] * gradients[n, column, b]
-                        shared[slot, 3 * a + b] += stiffness[n] * product
+                        pair_blocks[slot, 3 * a + b] += stiffness[n] * product
 
 
 @kernel
@@ -179,7 +181,7 @@ def free_pairs(
     """Pairs (n, 2) within reach that are no partners and of which one atom moves, by their first atoms."""
     low, side, shape = _grid(x, reach)
     start, order = _cells(x, low, side, shape)
-    pairs, found = np.empty((8 * len(x) + 8, 2), np.int64), 0
+    pairs, n_pairs = np.empty((8 * len(x) + 8, 2), np.int64), 0
     for i in range(len(x)):
         ci, cj = _cell(x, i, 0, low, side, shape), _cell(x, i, 1, low, side, shape)
         ck = _cell(x, i, 2, low, side, shape)
@@ -198,8 +200,8 @@ def free_pairs(
                     for p in range(first_partner[i], first_partner[i + 1]):
                         is_free &= partner[p] != j
                     if is_free:
-                        if found == len(pairs):
-                            pairs = wider(pairs, 2 * found)
-                        pairs[found, 0], pairs[found, 1] = i, j
-                        found += 1
-    return pairs[:found].copy()
+                        if n_pairs == len(pairs):
+                            pairs = wider(pairs, 2 * n_pairs)
+                        pairs[n_pairs, 0], pairs[n_pairs, 1] = i, j
+                        n_pairs += 1
+    return pairs[:n_pairs].copy()

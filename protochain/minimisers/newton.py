@@ -88,10 +88,10 @@ class PseudoTransient:
             size = np.max(np.abs(turn))
             if size < SMALLEST:
                 return None
-            found = problem.evaluate(problem.move(at.q, turn * min(1.0, space.longest / size)))
-            if found.is_finite and found.energy < at.energy:
-                grown = delta * np.linalg.norm(at.torque) / np.linalg.norm(found.torque)
-                return PseudoTransientState(found, float(grown))
+            after = problem.evaluate(problem.move(at.q, turn * min(1.0, space.longest / size)))
+            if after.is_finite and after.energy < at.energy:
+                grown = delta * np.linalg.norm(at.torque) / np.linalg.norm(after.torque)
+                return PseudoTransientState(after, float(grown))
             delta *= 0.25
 
 
@@ -101,22 +101,22 @@ def conjugate_gradients(
     """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far."""
     # -> (n_v,): A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
     turn = np.zeros_like(at.torque)
-    left = at.torque.copy()
-    z = solve(left)
-    direction, size = z, left @ z
+    residual = at.torque.copy()
+    z = solve(residual)
+    direction, size = z, residual @ z
     target = rtol**2 * size
     for n in range(max_products):
         h = _TURN / np.max(np.abs(direction))
-        moved = problem.evaluate(problem.move(at.q, h * direction))
-        product = (at.torque - moved.torque) / h + shift * direction
+        displaced = problem.evaluate(problem.move(at.q, h * direction))
+        product = (at.torque - displaced.torque) / h + shift * direction
         curvature = direction @ product
         if not curvature > 0.0:
             return direction.copy() if n == 0 else turn
         length = size / curvature
         turn += length * direction
-        left -= length * product
-        z = solve(left)
-        before, size = size, left @ z
+        residual -= length * product
+        z = solve(residual)
+        before, size = size, residual @ z
         if size <= target:
             break
         direction = z + (size / before) * direction

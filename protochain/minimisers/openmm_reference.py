@@ -35,7 +35,7 @@ def minimise_by_openmm(
     the dynamics, and at the end) the one of lowest energy is the result.
     """
     x = chain.structure.positions
-    n_iterations, n_evaluations, stop, settled = 0, 1, Stop.BUDGET, x
+    n_iterations, n_evaluations, stop, relaxed = 0, 1, Stop.BUDGET, x
     value, forces = energy(x)
     record(x, value, 1, forces)
 
@@ -52,23 +52,23 @@ def minimise_by_openmm(
     if recipe.draws_random:
         settle = partial(local_energy_minimizer, tolerance=_SETTLED)
         for part in (settle, partial(langevin_dynamics, seed=seed)):
-            left = max_evaluations - n_evaluations
-            if left < 1:
+            budget = max_evaluations - n_evaluations
+            if budget < 1:
                 break
-            own = partial(note, before=n_evaluations)
-            stop, x, iterations, evaluations = part(energy, "CPU", x, max_evaluations=left, record=own)
+            recorder = partial(note, before=n_evaluations)
+            stop, x, iterations, evaluations = part(energy, "CPU", x, max_evaluations=budget, record=recorder)
             n_iterations += iterations
             n_evaluations += evaluations
-            settled = x if part is settle else settled
+            relaxed = x if part is settle else relaxed
             if stop is Stop.INTERRUPTED:
-                return outcome(settled)
+                return outcome(relaxed)
     for platform in ("CPU", "Reference"):
         if n_evaluations >= max_evaluations:
             stop = Stop.BUDGET
             break
-        own = partial(note, before=n_evaluations)
+        recorder = partial(note, before=n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(
-            energy, platform, x, tolerance, max_evaluations - n_evaluations, own
+            energy, platform, x, tolerance, max_evaluations - n_evaluations, recorder
         )
         n_iterations += iterations
         n_evaluations += evaluations
@@ -77,10 +77,10 @@ def minimise_by_openmm(
         if stop not in SINGLE_PRECISION_ENDS or rms_force <= tolerance:
             break
     # Dynamics not followed by a complete minimisation leaves a hot structure.
-    return outcome(min(x, settled, key=lambda y: energy(y)[0]))
+    return outcome(min(x, relaxed, key=lambda y: energy(y)[0]))
 
 
-class _Enough(Exception):
+class _StopMinimisation(Exception):
     """Raised through OpenMM to break off a line search."""
 
 
@@ -103,7 +103,7 @@ class _Reporter(openmm.MinimizationReporter):
         if self.interrupts:
             self.stop = Stop.INTERRUPTED
         if self.stop is not Stop.NO_DESCENT:
-            raise _Enough
+            raise _StopMinimisation
         self.n_evaluations += 1
         return 0.0, np.zeros((1, 3))
 
@@ -138,33 +138,33 @@ def langevin_dynamics(
     Takes and returns what :func:`local_energy_minimizer` does, but ends at its last positions; each step is
     one iteration and one evaluation of the forces.
     """
-    own = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
-    constrain_hydrogens(own.system)
+    simulated = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
+    constrain_hydrogens(simulated.system)
     integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
     integrator.setRandomNumberSeed(seed + 1)
-    context = own.make_context(own.system, integrator)
+    context = simulated.make_context(simulated.system, integrator)
     context.setPositions(np.asarray(x))
-    n_steps, done = min(_MD_STEPS, max_evaluations), 0
+    n_steps, steps_done = min(_MD_STEPS, max_evaluations), 0
     with held_interrupts() as interrupts:
         try:
             context.applyConstraints(1e-6)
             context.setVelocitiesToTemperature(300.0, seed + 1)
-            while done < n_steps and not interrupts:
-                part = min(_MD_FRAME, n_steps - done)
-                integrator.step(part)
-                done += part
+            while steps_done < n_steps and not interrupts:
+                n_block = min(_MD_FRAME, n_steps - steps_done)
+                integrator.step(n_block)
+                steps_done += n_block
                 state = context.getState(positions=True, energy=True, forces=True)
-                here = np.asarray(state.getPositions(asNumpy=True)._value, dtype=np.float64)
-                if not np.isfinite(here).all():
-                    return Stop.NON_FINITE, x, done, done
-                x = here
+                positions = np.asarray(state.getPositions(asNumpy=True)._value, dtype=np.float64)
+                if not np.isfinite(positions).all():
+                    return Stop.NON_FINITE, x, steps_done, steps_done
+                x = positions
                 forces = np.asarray(state.getForces(asNumpy=True)._value, dtype=np.float64)
-                record(x, state.getPotentialEnergy()._value, done, forces)
+                record(x, state.getPotentialEnergy()._value, steps_done, forces)
         except openmm.OpenMMException:
-            return Stop.NON_FINITE, x, done, done
+            return Stop.NON_FINITE, x, steps_done, steps_done
         except KeyboardInterrupt:
-            return Stop.INTERRUPTED, x, done, done
-    return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, done, done
+            return Stop.INTERRUPTED, x, steps_done, steps_done
+    return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, steps_done, steps_done
 
 
 _MD_STEPS, _MD_FRAME = 1000, 20
@@ -179,6 +179,6 @@ def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, report
     context.setPositions(np.asarray(x))
     try:
         openmm.LocalEnergyMinimizer.minimize(context, tolerance, 0, reporter)
-    except (openmm.OpenMMException, _Enough):
+    except (openmm.OpenMMException, _StopMinimisation):
         if reporter.stop is Stop.NO_DESCENT:
             reporter.stop = Stop.NON_FINITE

@@ -75,7 +75,7 @@ class Run:
     def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
         """Stage on an energy, and a second one on its reference if that is another engine."""
         tolerance = tolerance if self.tolerance is None else self.tolerance
-        method = _tethered(self.method, tethers_in(restraint))
+        method = _add_tethers(self.method, tethers_in(restraint))
         stage = Stage(
             space, method, energy, tolerance, restraint, patience=self.patience, answer=self.answer,
             name="torsions" if self.in_torsions else "all atoms",
@@ -83,24 +83,24 @@ class Run:
         return with_reference(stage) if self.continued else [stage]
 
 
-def check_dihedrals(energy: Energy, what: str) -> None:
+def check_dihedrals(energy: Energy, subject: str) -> None:
     """Refuse an energy without dihedral terms for what moves all atoms."""
     # A System that the caller gave is as the caller wants it.
     if lacks_dihedrals(energy.system) and energy.atoms:
         raise ProtochainError(
-            f"{what} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
+            f"{subject} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
             "choose a method that only turns hinges, as lbfgs, or all terms"
         )
 
 
-def _tethered(method: Any, tether: Floats | None) -> Method:
+def _add_tethers(method: Any, tether: Floats | None) -> Method:
     """Method whose model of the Hessian has the springs of a restraint (na,), too."""
     metric = getattr(getattr(method, "direction", None), "metric", None)
-    known = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
-    if tether is None or not known or not isinstance(metric, Stiffness):
+    has_stiffness = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
+    if tether is None or not has_stiffness or not isinstance(metric, Stiffness):
         return method
-    held = TetheredModel(tether, refresh_every=metric.refresh_every)
-    return replace(method, direction=replace(method.direction, metric=held))
+    model = TetheredModel(tether, refresh_every=metric.refresh_every)
+    return replace(method, direction=replace(method.direction, metric=model))
 
 
 @dataclass(frozen=True)
@@ -139,10 +139,10 @@ class Recipe:
         """
         return not self.by_openmm and all(run.in_torsions for run in self.runs)
 
-    def tolerance(self, given: float | None = None) -> float:
+    def tolerance(self, user_tolerance: float | None = None) -> float:
         """Tolerance given, or the default for what moves in the last run."""
         default = defaults.TOLERANCE if self.keeps_geometry else defaults.TOLERANCE_IN_ALL_ATOMS
-        return default if given is None else given
+        return default if user_tolerance is None else user_tolerance
 
     @property
     def in_torsions(self) -> bool:
@@ -152,8 +152,8 @@ class Recipe:
     @property
     def states(self) -> tuple[type, ...]:
         """Classes of the states that a checkpoint stores; none if a method names none."""
-        named = [getattr(run.method, "states", ()) for run in self.runs]
-        return tuple(state for states in named for state in states) if all(named) else ()
+        classes = [getattr(run.method, "states", ()) for run in self.runs]
+        return tuple(state for states in classes for state in states) if all(classes) else ()
 
     @property
     def moves_masses(self) -> bool:
@@ -219,8 +219,8 @@ class Recipe:
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
                 stages = replace(run, method=method).stages(space, run_energy, tolerance, restraint)
                 if parts and run.in_torsions:
-                    whole = None if self.keeps_geometry else energy
-                    stages = [once_ordinary(stage, whole) for stage in stages]
+                    all_terms = None if self.keeps_geometry else energy
+                    stages = [once_ordinary(stage, all_terms) for stage in stages]
                 if not run.in_torsions and not chain.moving.all():
                     stages = [of_moving(stage, chain.moving) for stage in stages]
                 plan += stages
@@ -363,12 +363,12 @@ def at_angle(recipe: Recipe, angle: float) -> Recipe:
     if not 0.0 < number(angle, "angle") <= np.pi:
         raise refused("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
-        known = ", ".join(name for name, other in RECIPES.items() if _has_angle(other))
-        raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {known}")
+        names = ", ".join(name for name, candidate in RECIPES.items() if _has_angle(candidate))
+        raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {names}")
     (run,) = recipe.runs
     method: Any = run.method
-    turned = replace(method, rule=replace(method.rule, length=float(angle)))
-    return replace(recipe, name=f"{recipe.name}-{angle:g}", runs=(replace(run, method=turned),))
+    adjusted = replace(method, rule=replace(method.rule, length=float(angle)))
+    return replace(recipe, name=f"{recipe.name}-{angle:g}", runs=(replace(run, method=adjusted),))
 
 
 def _has_angle(recipe: Recipe) -> bool:

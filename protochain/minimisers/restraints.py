@@ -112,8 +112,8 @@ class SoftRepulsion:
         pairs, touch = near_pairs(self.structure, x, self.share)
         if len(self.passing):
             residue, n = self.structure.atom_residue, self.structure.n_residues
-            both, passing = np.sort(residue[pairs], axis=1), np.sort(self.passing, axis=1)
-            repel = ~np.isin(both @ [n, 1], passing @ [n, 1])
+            residue_pairs, passing = np.sort(residue[pairs], axis=1), np.sort(self.passing, axis=1)
+            repel = ~np.isin(residue_pairs @ [n, 1], passing @ [n, 1])
             pairs, touch = pairs[repel], touch[repel]
         across = x[pairs[:, 0]] - x[pairs[:, 1]]
         distance = np.linalg.norm(across, axis=1)
@@ -175,8 +175,8 @@ class Hold:
 
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
-            given = " ".join(f"{strength:g}" for strength in self.strengths)
-            raise refused("restraint", given, "give strengths in kJ/mol/nm^2, none below 0")
+            strengths = " ".join(f"{strength:g}" for strength in self.strengths)
+            raise refused("restraint", strengths, "give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
             raise refused("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
 
@@ -188,8 +188,8 @@ class Hold:
         if are_restraints(restraint):
             return cls((), max_rmsd, listed=read_restraints(restraint))
         try:
-            given = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
-            strengths = tuple(float(strength) for strength in given)
+            values = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
+            strengths = tuple(float(strength) for strength in values)
         except (TypeError, ValueError):
             remedy = "give strengths in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
             missing = "no such file; " * (isinstance(restraint, str) and is_missing(restraint))
@@ -213,13 +213,13 @@ class Hold:
             always.append(Restraints.of(structure, self.listed))
         if self.max_rmsd < np.inf:
             always.append(Leash(structure, self.max_rmsd))
-        found: list[Force | None] = []
+        sums: list[Force | None] = []
         for strength in self.strengths or (0.0,):
             parts = list(always)
             if strength > 0.0:
                 parts.insert(0, Tethers.of_heavy_atoms(structure, strength))
-            found.append(Sum(parts) if parts else None)
-        return found
+            sums.append(Sum(parts) if parts else None)
+        return sums
 
     def record(self) -> list[float | str]:
         """Strengths, and the name of any other restraint."""

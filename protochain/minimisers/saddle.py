@@ -113,8 +113,8 @@ class CurvatureState:
     @property
     def lowest_eigenvalue(self) -> float | None:
         """Value at ``at``, if the search reached it."""
-        known = self.value is not None and np.isfinite(self.value) and not self.is_spent
-        return self.value if known and not self.left else None
+        is_known = self.value is not None and np.isfinite(self.value) and not self.is_spent
+        return self.value if is_known and not self.left else None
 
 
 @dataclass(frozen=True)
@@ -141,12 +141,12 @@ class Curvature:
     def step(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State after one more product, the eigenvalue, or the step off; None when all is done."""
         if state.value is None:
-            found = self._sought(problem, state)
-            return self._measured(problem, state) if found is None else found
+            extended = self._sought(problem, state)
+            return self._measured(problem, state) if extended is None else extended
         if not state.is_saddle or state.confirmed:
             return None
         # An energy in single precision, or a limit of the run, may know of no way down.
-        lower = stepped_off(problem, state.at, problem.space.lever * _largest_one(state.direction))
+        lower = step_off(problem, state.at, problem.space.lever * _largest_one(state.direction))
         if lower is None or not self.leaves:
             return replace(state, is_saddle=lower is not None, confirmed=True)
         return replace(state, at=lower, confirmed=True, left=True)
@@ -159,13 +159,13 @@ class Curvature:
             # Any start will do that has a part along the lowest: the metric makes it soft.
             new = solve(np.random.default_rng(n).normal(size=len(at.torque)))
         else:
-            new, other = (solve(residual) for residual in state.residuals)
+            new, second = (solve(residual) for residual in state.residuals)
             gain = float(abs(state.residuals[0] @ new))
-            others = WEIGHT * float(abs(state.residuals[1] @ other))
+            second_gain = WEIGHT * float(abs(state.residuals[1] @ second))
             little = SHARE * max(abs(state.ritz), LEAST)
-            if max(gain, others, state.fall) < little or state.is_spent:
+            if max(gain, second_gain, state.fall) < little or state.is_spent:
                 return None
-            new = new if gain >= others else other
+            new = new if gain >= second_gain else second
         vector = _orthonormal(new, (*rigid, *state.vectors))
         if vector is None:
             return None
@@ -173,7 +173,7 @@ class Curvature:
         product = (at.torque - _torque(problem, at, h * vector)) / h
         if not np.isfinite(product).all():
             return replace(state, value=np.nan)
-        return _extended(state, vector, product)
+        return _add_vector(state, vector, product)
 
     def _measured(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with the eigenvalue; None if there is no direction to turn in."""
@@ -204,21 +204,21 @@ def _is_shoulder(turn: Floats, *torques: Floats) -> bool:
     return abs(slope) < SOFT * float(turn @ turn) and slope**2 < 2.0 * at * bend
 
 
-def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:
+def step_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:
     """Point below a saddle point, on the lower of its two sides; None if none is found: direction (n_v,)."""
 
-    def turned(angle: float) -> Evaluation | None:
-        found = problem.evaluate(problem.move(at.q, angle * direction))
-        lower = found.is_finite and found.energy < at.energy
-        return found if lower and problem.allows(found.x) else None
+    def point_at(angle: float) -> Evaluation | None:
+        point = problem.evaluate(problem.move(at.q, angle * direction))
+        lower = point.is_finite and point.energy < at.energy
+        return point if lower and problem.allows(point.x) else None
 
     angle = FIRST
     while angle >= SHORTEST:
-        sides = [(found, way) for way in (angle, -angle) if (found := turned(way)) is not None]
+        sides = [(point, way) for way in (angle, -angle) if (point := point_at(way)) is not None]
         if sides:
             best, way = min(sides, key=lambda side: side[0].energy)
             while abs(2.0 * way) <= LONGEST:
-                farther = turned(2.0 * way)
+                farther = point_at(2.0 * way)
                 if farther is None or not farther.energy < best.energy:
                     break
                 best, way = farther, 2.0 * way
@@ -242,7 +242,7 @@ def with_curvature(plan: Sequence[Stage], floats: bool) -> list[Stage]:
     return [*plan, *[look, again] * ROUNDS, replace(look, method=replace(method, leaves=False))]
 
 
-def _extended(state: CurvatureState, vector: Floats, product: Floats) -> CurvatureState:
+def _add_vector(state: CurvatureState, vector: Floats, product: Floats) -> CurvatureState:
     """State with another vector, and the two lowest Ritz pairs of all."""
     vectors, products = (*state.vectors, vector), (*state.products, product)
     v, hv = np.array(vectors), np.array(products)
@@ -263,14 +263,14 @@ def _extended(state: CurvatureState, vector: Floats, product: Floats) -> Curvatu
     )
 
 
-def _orthonormal(vector: Floats, to: Sequence[Floats]) -> Floats | None:
+def _orthonormal(vector: Floats, basis: Sequence[Floats]) -> Floats | None:
     """Part of a vector across others, of length 1; None if nothing is left of it."""
-    left = vector / np.linalg.norm(vector)
+    remainder = vector / np.linalg.norm(vector)
     for _ in range(2):
-        for each in to:
-            left = left - (each @ left) * each
-    size = float(np.linalg.norm(left))
-    return left / size if size > 1e-8 else None
+        for basis_vector in basis:
+            remainder = remainder - (basis_vector @ remainder) * basis_vector
+    size = float(np.linalg.norm(remainder))
+    return remainder / size if size > 1e-8 else None
 
 
 def _largest_one(direction: Floats | None) -> Floats:

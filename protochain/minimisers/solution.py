@@ -84,20 +84,20 @@ class Recorder:
         self._frame(len(self.rows) - 1, x)
         if self.watch:
             # The command line's watcher says that it does without: superposing takes a tenth of a short run.
-            wanted = getattr(self.watch, "wants_positions", True)
-            self.watch(row, self.frame(x) if wanted else x)
+            needs_positions = getattr(self.watch, "wants_positions", True)
+            self.watch(row, self.frame(x) if needs_positions else x)
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Tell a watcher that has a method ``at_stage`` what the run is doing, recorded or not."""
-        tell = getattr(self.watch, "at_stage", None)
-        if tell:
-            tell(name, evaluations)
+        callback = getattr(self.watch, "at_stage", None)
+        if callback:
+            callback(name, evaluations)
 
     def warn(self, line: str) -> None:
         """Tell a watcher that has a method ``at_warning`` what the user should know at once; or else warn."""
-        tell = getattr(self.watch, "at_warning", None)
-        if tell:
-            tell(line)
+        callback = getattr(self.watch, "at_warning", None)
+        if callback:
+            callback(line)
         else:
             warnings.warn(line, StrayWarning, stacklevel=2)
 
@@ -130,7 +130,7 @@ def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Fl
     return pd.DataFrame(full, columns=list(TRACE_COLUMNS))
 
 
-class _Made:
+class _LazyField:
     """Field that may be given as the function that makes it, called when the field is first read."""
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -294,7 +294,7 @@ class Solution(RunEnds):
     if TYPE_CHECKING:
         trace: pd.DataFrame
     else:
-        trace: Any = _Made()
+        trace: Any = _LazyField()
     start: Judgement
     end: Judgement
     judge: str

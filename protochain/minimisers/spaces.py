@@ -16,7 +16,7 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.articulated import solve_at_once
 from protochain.minimisers import curvature, spring_model
-from protochain.minimisers.bond_frames import inward, legs_of, moved, outward
+from protochain.minimisers.bond_frames import apply_step, inward, legs_of, outward
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.structure.molecule.model import Structure
@@ -131,13 +131,13 @@ class Torsions:
         return self._solver(soft, SOFT_TORSIONS)
 
     def _solver(self, make: Callable[[], Floats], floor: float) -> Callable[[Floats], Floats]:
-        def scaled() -> Floats:
+        def scaled_matrix() -> Floats:
             matrix = make()
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += floor
             return matrix
 
-        return solver(scaled, self.chain.n_v)
+        return solver(scaled_matrix, self.chain.n_v)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
         """Orthonormal rigid motions (k, n_v); none if a root or an atom is fixed."""
@@ -157,11 +157,11 @@ class Torsions:
 def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
     """Solver for a positive definite matrix (n, n), by Cholesky factorisation."""
 
-    def factorised() -> Any:
+    def factorise() -> Any:
         return cho_factor(make(), lower=True, check_finite=False)
 
     # Of a large protein it takes seconds.
-    factor = factorised() if n < _LARGE else run_interruptible(factorised, is_deferred=True)
+    factor = factorise() if n < _LARGE else run_interruptible(factorise, is_deferred=True)
     return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
 
@@ -188,10 +188,10 @@ def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
         twists = np.empty((6, 6))
         for k, unit in enumerate(np.eye(chain.n_v)[freedoms]):
             twists[:, k] = multibody.velocities(tree, frames, unit)[root]
-        wanted = np.eye(6)
+        root_twists = np.eye(6)
         # A turn about the world's origin moves this body's origin along.
-        wanted[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
-        motions[:, freedoms] = np.linalg.solve(twists, wanted).T
+        root_twists[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
+        motions[:, freedoms] = np.linalg.solve(twists, root_twists).T
     return motions
 
 
@@ -288,7 +288,7 @@ class Cartesian:
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (3 na,), in which bonds turn on arcs."""
         x = q.reshape(-1, 3)
-        return moved(x, self.outward(x, step).reshape(-1, 3), *self._bonds).ravel()
+        return apply_step(x, self.outward(x, step).reshape(-1, 3), *self._bonds).ravel()
 
     def stiffness(
         self, at: Evaluation, near_by: spring_model.Near | None = None, tether: Floats | None = None
@@ -304,8 +304,8 @@ class Cartesian:
                 curvature.springs_solver, self.structure, self._springs, at.x, self.moving, near, tether
             )
         else:
-            own = None if near_by is None else near_by(self.structure, at.x, 3)
-            make = partial(curvature.near_solver, self.terms, at.x, self.moving, own, tether)
+            springs = None if near_by is None else near_by(self.structure, at.x, 3)
+            make = partial(curvature.near_solver, self.terms, at.x, self.moving, springs, tether)
         solve = make() if len(self.moving) < _LARGE else run_interruptible(make, is_deferred=True)
         return self._in_frames(at.x, solve)
 

@@ -90,8 +90,8 @@ def torsion_stiffness(
     near = near_by(chain.structure, at.x, 2)
     along = _directions(at.x, near.pairs)
     lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
-    held = np.zeros(chain.n_atoms) if tether is None else np.array(tether)
-    return stiffness_in_torsions(chain, at, [lengths, *gradients], held)
+    tether_stiffness = np.zeros(chain.n_atoms) if tether is None else np.array(tether)
+    return stiffness_in_torsions(chain, at, [lengths, *gradients], tether_stiffness)
 
 
 def _directions(x: Floats, pairs: Integers) -> Floats:

@@ -104,8 +104,8 @@ def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
     groups = np.where(moving, -1, 0)[:, None]
 
     def fit(stage: Stage, x: Floats) -> Stage:
-        whole: Any = stage.energy
-        return replace(stage, energy=whole.without_constants(groups, x))
+        energy: Any = stage.energy
+        return replace(stage, energy=energy.without_constants(groups, x))
 
     return replace(stage, fit=fit)
 
@@ -154,28 +154,28 @@ def walk(
     resumable: bool = True,
 ) -> Outcome:
     """Run one stage after the other, each from the result of the one before: x (na, 3) nm."""
-    on = _Walk(plan[resume.stage if resume else 0].space, plan[0].space.start(x), resume)
-    for i, planned in enumerate(plan[on.first :], on.first):
-        stage = on.enter(planned)
+    progress = _Walk(plan[resume.stage if resume else 0].space, plan[0].space.start(x), resume)
+    for i, planned in enumerate(plan[progress.first :], progress.first):
+        stage = progress.enter(planned)
         if stage is None:
             continue
         problem = Problem(stage.space, stage.energy, max_evaluations, stage.restraint, allowed)
-        tally = Tally(on.n_evaluations, None, on.n_evaluations)
-        problem.restore(tally, stage.space.place(on.q).x if resumable else None)
+        tally = Tally(progress.n_evaluations, None, progress.n_evaluations)
+        problem.restore(tally, stage.space.place(progress.q).x if resumable else None)
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             record(at, stage, problem.n_evaluations)
 
-        known = on.known(stage, problem)
+        snapshot = progress.known(stage, problem)
         try:
-            ending = run(problem, stage.method, on.q, stage.tolerance, stage.patience, note, known)
+            ending = run(problem, stage.method, progress.q, stage.tolerance, stage.patience, note, snapshot)
         except (BudgetSpentError, KeyboardInterrupt) as error:
             # The stage has evaluated nothing: the result of the one before stands.
-            on.stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
+            progress.stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
-        if on.ends(i, stage, problem, ending, [*plan[i + 1 : i + 2]]):
+        if progress.ends(i, stage, problem, ending, [*plan[i + 1 : i + 2]]):
             break
-    return on.outcome(planned, plan[i + 1 :])
+    return progress.outcome(planned, plan[i + 1 :])
 
 
 class _Walk:
@@ -194,7 +194,7 @@ class _Walk:
     def enter(self, stage: Stage) -> Stage | None:
         """The stage as it runs from here, or from where it was saved; None if it does not."""
         if self.waiting is not None:
-            stage, self.home = _fitted(stage, self.home)
+            stage, self.home = _fit_stage(stage, self.home)
             self.q = self.waiting.start.q
         elif stage.after and (self.left_out or self.stop not in stage.after):
             return None
@@ -203,7 +203,7 @@ class _Walk:
             self.left_out = stage.ready is not None and not stage.ready(stage, at)
             if self.left_out:
                 return None
-            stage, self.home = _fitted(stage, at.x)
+            stage, self.home = _fit_stage(stage, at.x)
             if stage.space is not self.space:
                 self.q = stage.space.start(at.x)
         self.space = stage.space
@@ -212,10 +212,10 @@ class _Walk:
     def known(self, stage: Stage, problem: Problem) -> Snapshot | None:
         """What a stage goes on from: a saved run, or, if it only looks, the last point of the one before."""
         if self.waiting is None and stage.looks and self.before is not None:
-            return _evaluated(problem, *self.before, self.q)
+            return _reuse_evaluation(problem, *self.before, self.q)
         return self.waiting
 
-    def ends(self, i: int, stage: Stage, problem: Problem, ending: Ending, follows: list[Stage]) -> bool:
+    def ends(self, i: int, stage: Stage, problem: Problem, ending: Ending, next_stages: list[Stage]) -> bool:
         """Go to the result of a stage; whether the walk ends there."""
         ended = self.stop.name if i else ""
         self.waypoint = Waypoint(i, self.n_iterations, ending.last, self.home, ended)
@@ -225,32 +225,32 @@ class _Walk:
             return True
         self.stop = ending.stop
         self.n_iterations += 0 if stage.looks else ending.last.n_iterations
-        return self.stop in stage.ends and not any(self.stop in each.after for each in follows)
+        return self.stop in stage.ends and not any(self.stop in s.after for s in next_stages)
 
-    def outcome(self, last: Stage, left: Sequence[Stage]) -> Outcome:
+    def outcome(self, last: Stage, remaining: Sequence[Stage]) -> Outcome:
         """Result, after the last stage of the plan that was looked at."""
         return Outcome(
             Stop.STRAINED if self.left_out else self.stop, self.space, self.q, self.n_iterations,
-            self.n_evaluations, last.restraint, not self.left_out and all(each.after for each in left),
-            self.waypoint, *_found(self.before),
+            self.n_evaluations, last.restraint, not self.left_out and all(s.after for s in remaining),
+            self.waypoint, *_eigenvalues(self.before),
         )  # fmt: skip
 
 
-def _found(before: tuple[Problem, Ending] | None) -> tuple[float | None, float | None]:
+def _eigenvalues(before: tuple[Problem, Ending] | None) -> tuple[float | None, float | None]:
     """Lowest eigenvalue, and its upper limit, that the last stage found."""
     state = before and before[1].last.state
     return getattr(state, "lowest_eigenvalue", None), getattr(state, "eigenvalue_at_most", None)
 
 
-def _evaluated(problem: Problem, before: Problem, ending: Ending, q: Floats) -> Snapshot | None:
+def _reuse_evaluation(problem: Problem, before: Problem, ending: Ending, q: Floats) -> Snapshot | None:
     """Snapshot at q if the stage before, with the same energy, evaluated it; None if it did not."""
-    known = (at for at in (ending.last.state.at, before.best) if at is not None and at.q is q)
-    at = next(known, None) if problem.energy is before.energy else None
+    points = (at for at in (ending.last.state.at, before.best) if at is not None and at.q is q)
+    at = next(points, None) if problem.energy is before.energy else None
     if at is None:
         return None
     return Snapshot(Unstarted(at), at, problem.tally, 0, problem.lists_at)
 
 
-def _fitted(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:
+def _fit_stage(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:
     """Stage as it runs from positions, and these, for its waypoint; as it is, if it needs no fit."""
     return (stage, None) if stage.fit is None or x is None else (stage.fit(stage, x), x)

@@ -58,9 +58,9 @@ class Start:
 
     def of(self, recipe: Recipe, judge: str = defaults.JUDGE) -> "Start":
         """Start of a method and a judge: of one that moves masses, a root that ``auto`` has fixed is free."""
-        own = self if judge == self.judge else replace(self, judge=judge)
+        start = self if judge == self.judge else replace(self, judge=judge)
         moves = recipe.moves_masses and self.chain.root == "auto"
-        return own._with_free_root if moves else own
+        return start._with_free_root if moves else start
 
     @cached_property
     def _with_free_root(self) -> "Start":

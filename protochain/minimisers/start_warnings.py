@@ -23,10 +23,10 @@ _SHOWN_RINGS = 3
 def outlook(structure: Structure, recipe: Recipe) -> list[str]:
     """Say what is wrong with a start, and what a method does about it first."""
     crowd = len(overlaps(structure, structure.positions))
-    threaded, wrong = threaded_rings(structure), violations(structure)
-    wrongs = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
-    wrongs += [str(wrong)] if wrong else []
-    lines = ["; ".join(wrongs)] if wrongs else []
+    threaded, violation_counts = threaded_rings(structure), violations(structure)
+    faults = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
+    faults += [str(violation_counts)] if violation_counts else []
+    lines = ["; ".join(faults)] if faults else []
     lines += [str(ring) for ring in threaded[:_SHOWN_RINGS]]
     if len(threaded) > _SHOWN_RINGS:
         lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")

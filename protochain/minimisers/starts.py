@@ -54,7 +54,7 @@ class Starts:
     @cached_property
     def best(self) -> Solution:
         """Solution of lowest energy, the first of equal ones; those that became another isomer come last."""
-        return min(self.solutions, key=lambda each: (each.status in OTHER_ISOMER, each.end.energy))
+        return min(self.solutions, key=lambda s: (s.status in OTHER_ISOMER, s.end.energy))
 
     @property
     def structure(self) -> Structure:
@@ -190,7 +190,7 @@ def explore(
         random = np.random.default_rng([seed, k])
         try:
             start = perturbed(chain, spread, random) if k else chain
-            solution = _home(minimise(start, energy, method, seed=seed, **settings), chain)
+            solution = _superpose_on_start(minimise(start, energy, method, seed=seed, **settings), chain)
         except KeyboardInterrupt:
             if not solutions:
                 raise
@@ -220,7 +220,7 @@ def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain
     turns = np.array([not hinge.is_angle for hinge in chain.hinges])
     turning = chain.tree.q_start[chain.hinge_body[turns]]
     q[turning] += random.normal(scale=spread, size=len(turning))
-    return parted(_moved(chain, q))
+    return parted(_move_chain(chain, q))
 
 
 def parted(chain: Chain) -> Chain:
@@ -237,19 +237,19 @@ def parted(chain: Chain) -> Chain:
         The same bodies, moved.
     """
     x = chain.structure.positions
-    return _moved(chain, walk([parting(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
+    return _move_chain(chain, walk([parting(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
 
 
-def _moved(chain: Chain, q: np.ndarray) -> Chain:
+def _move_chain(chain: Chain, q: np.ndarray) -> Chain:
     at = pose(chain, q)
     return replace(chain, structure=chain.structure.with_positions(at.x), q0=at.q)
 
 
-def _home(solution: Solution, chain: Chain) -> Solution:
+def _superpose_on_start(solution: Solution, chain: Chain) -> Solution:
     """Superpose a solution on the structure given, which the perturbed start has left."""
     if solution.frame.start is chain.structure:
         return solution
     frame = replace(solution.frame, start=chain.structure)
     x = frame(solution.x)
-    frames = read_only([frame(each) for each in solution.frames], np.float32)
+    frames = read_only([frame(positions) for positions in solution.frames], np.float32)
     return replace(solution, x=x, frame=frame, ca_rmsd_angstrom=frame.ca_rmsds(x)[0], frames=frames)

@@ -112,9 +112,9 @@ class AcceptReject:
         """Shrink the step until the energy falls."""
         length = state
         while length * np.max(np.abs(direction)) > SMALLEST:
-            found = problem.evaluate(problem.move(at.q, length * direction))
-            if found.is_finite and found.energy < at.energy:
-                return length, found, self.grow * length
+            after = problem.evaluate(problem.move(at.q, length * direction))
+            if after.is_finite and after.energy < at.energy:
+                return length, after, self.grow * length
             length *= self.shrink
         return None
 
@@ -151,9 +151,9 @@ class Armijo:
         length, seen = state
         slope = at.torque @ direction
         while length * np.max(np.abs(direction)) > SMALLEST:
-            found = problem.evaluate(problem.move(at.q, length * direction))
-            if found.is_finite and found.energy <= max(seen) - self.decrease * length * slope:
-                return length, found, (2.0 * length, (*seen, found.energy)[-self.window :])
+            after = problem.evaluate(problem.move(at.q, length * direction))
+            if after.is_finite and after.energy <= max(seen) - self.decrease * length * slope:
+                return length, after, (2.0 * length, (*seen, after.energy)[-self.window :])
             length *= 0.5
         return None
 
@@ -190,13 +190,13 @@ class StrongWolfe:
 
         def height(length: float) -> float:
             # NaN would be neither higher nor lower than the start, and pass for a fall.
-            found = point(length)
-            return found.energy if found.is_finite else np.inf
+            evaluation = point(length)
+            return evaluation.energy if evaluation.is_finite else np.inf
 
         def slope(length: float) -> float:
             return -float(point(length).torque @ direction)
 
-        length = _searched(height, slope, at.energy, falls)
+        length = _search_length(height, slope, at.energy, falls)
         if length is None:
             # Against a stiff contact, or on a long lever, the interpolation may fail at too long a step.
             size, nearest, length = np.max(np.abs(direction)), min(tried), min(tried, key=height)
@@ -208,47 +208,47 @@ class StrongWolfe:
         return length, tried[length], None
 
 
-def _searched(height: _Along, slope: _Along, start: float, falls: float) -> float | None:
+def _search_length(height: _Along, slope: _Along, start: float, falls: float) -> float | None:
     """Length that meets the conditions (algorithm 3.5), or after ten doublings; None if none is found."""
-    before, its_height, its_slope = 0.0, start, -falls
-    length, found = 1.0, height(1.0)
+    before, energy_before, slope_before = 0.0, start, -falls
+    length, energy = 1.0, height(1.0)
     for k in range(_MOST):
-        if found > start - _DECREASE * length * falls or (k and found >= its_height):
-            return _zoomed(height, slope, start, falls, (before, its_height, its_slope), (length, found))
-        now = slope(length)
-        if abs(now) <= _FLATTER * falls:
+        if energy > start - _DECREASE * length * falls or (k and energy >= energy_before):
+            return _zoom(height, slope, start, falls, (before, energy_before, slope_before), (length, energy))
+        slope_now = slope(length)
+        if abs(slope_now) <= _FLATTER * falls:
             return length
-        if now >= 0.0:
-            return _zoomed(height, slope, start, falls, (length, found, now), (before, its_height))
-        before, its_height, its_slope = length, found, now
+        if slope_now >= 0.0:
+            return _zoom(height, slope, start, falls, (length, energy, slope_now), (before, energy_before))
+        before, energy_before, slope_before = length, energy, slope_now
         length *= 2.0
-        found = height(length)
+        energy = height(length)
     return length
 
 
-def _zoomed(
+def _zoom(
     height: _Along, slope: _Along, start: float, falls: float, low: _Point, high: _Point
 ) -> float | None:
     """Length between two (algorithm 3.6): low with a height and a slope, high with a height."""
-    other: _Point = ()
+    previous: _Point = ()
     for _ in range(_MOST + 1):
         wide = high[0] - low[0]
         left, right = sorted((low[0], high[0]))
-        cubic = _cubic(*low, *high, *other[:2]) if other else np.nan
+        cubic = _cubic(*low, *high, *previous[:2]) if previous else np.nan
         for length, share in ((cubic, 0.2), (_parabola(*low, *high), 0.1)):
             if left + share * wide <= length <= right - share * wide:
                 break
         else:
             length = low[0] + 0.5 * wide
-        found = height(length)
-        if found > start - _DECREASE * length * falls or found >= low[1]:
-            other, high = high, (length, found)
+        energy = height(length)
+        if energy > start - _DECREASE * length * falls or energy >= low[1]:
+            previous, high = high, (length, energy)
             continue
-        now = slope(length)
-        if abs(now) <= _FLATTER * falls:
+        slope_now = slope(length)
+        if abs(slope_now) <= _FLATTER * falls:
             return length
-        other, high = (high, low[:2]) if now * wide >= 0.0 else (low, high)
-        low = (length, found, now)
+        previous, high = (high, low[:2]) if slope_now * wide >= 0.0 else (low, high)
+        low = (length, energy, slope_now)
     return None
 
 
@@ -257,8 +257,8 @@ def _cubic(a: float, fa: float, slope: float, b: float, fb: float, c: float, fc:
     b, c = b - a, c - a
     with np.errstate(all="ignore"):
         right = np.array([fb - fa - slope * b, fc - fa - slope * c])
-        both = np.dot([[c**2, -(b**2)], [-(c**3), b**3]], right) / np.float64((b * c) ** 2 * (b - c))
-        return float(a + (-both[1] + np.sqrt(both[1] * both[1] - 3 * both[0] * slope)) / (3 * both[0]))
+        c3 = np.dot([[c**2, -(b**2)], [-(c**3), b**3]], right) / np.float64((b * c) ** 2 * (b - c))
+        return float(a + (-c3[1] + np.sqrt(c3[1] * c3[1] - 3 * c3[0] * slope)) / (3 * c3[0]))
 
 
 def _parabola(a: float, fa: float, slope: float, b: float, fb: float) -> float:

@@ -22,8 +22,8 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
     tree, middle = chain.tree, at.x.mean(axis=0)
     x = at.x - middle
     bodies, wrenches, start, stiffness = _wrenches(chain.atom_body, x, terms)
-    own = np.zeros((tree.n_bodies, 36))
-    _add_tethers(chain.atom_body, x, tether, own)
+    body_blocks = np.zeros((tree.n_bodies, 36))
+    _add_tethers(chain.atom_body, x, tether, body_blocks)
     order, depth = _inward_order(np.array(tree.parent))
     # Entries body by body, in their order, and the first of each.
     first = np.r_[0, np.cumsum(np.bincount(bodies, minlength=tree.n_bodies))].astype(np.int64)
@@ -31,7 +31,7 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
     matrix = np.empty((chain.n_v, chain.n_v))
     motions, starts = _motions(chain, at, middle), np.array(tree.v_start)
     _sweep(
-        np.array(tree.parent), order, depth, starts, motions, own, bodies, wrenches, start, stiffness,
+        np.array(tree.parent), order, depth, starts, motions, body_blocks, bodies, wrenches, start, stiffness,
         first, entry, matrix,
     )  # fmt: skip
     return np.asarray(0.5 * (matrix + matrix.T))
@@ -40,7 +40,7 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
 def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
     """(n_v, 6) float: twist of each freedom's own body about the middle, at unit rate."""
     tree = chain.tree
-    counts, found = np.diff(tree.v_start), np.empty((chain.n_v, 6))
+    counts, motions = np.diff(tree.v_start), np.empty((chain.n_v, 6))
     lever = middle - at.frames.origin
     for j in range(int(counts.max(initial=0))):
         has = counts > j
@@ -51,8 +51,8 @@ def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
         twists[:, 3:] += cross(twists[:, :3], lever)
         # A body moves as its parent does, and by its own freedom.
         inner = np.where((tree.parent >= 0)[:, None], twists[tree.parent], 0.0)
-        found[places] = (twists - inner)[has]
-    return found
+        motions[places] = (twists - inner)[has]
+    return motions
 
 
 def _wrenches(atom_body: Integers, x: Floats, terms: list[Term]) -> tuple[Integers, Floats, Integers, Floats]:
@@ -71,7 +71,7 @@ def _wrenches(atom_body: Integers, x: Floats, terms: list[Term]) -> tuple[Intege
 
 
 @kernel
-def _add_tethers(atom_body: Integers, x: Floats, tether: Floats, own: Floats) -> None:
+def _add_tethers(atom_body: Integers, x: Floats, tether: Floats, body_blocks: Floats) -> None:
     """Add the stiffness P k P^T of springs to fixed points, P = (x cross, 1)."""
     for i in range(len(tether)):
         k, b = tether[i], atom_body[i]
@@ -83,10 +83,10 @@ def _add_tethers(atom_body: Integers, x: Floats, tether: Floats, own: Floats) ->
             m = columns[axis]
             for p in range(3):
                 for q in range(3):
-                    own[b, 6 * p + q] += k * m[p] * m[q]
-                own[b, 6 * p + 3 + axis] += k * m[p]
-                own[b, 6 * (3 + axis) + p] += k * m[p]
-            own[b, 7 * (3 + axis)] += k
+                    body_blocks[b, 6 * p + q] += k * m[p] * m[q]
+                body_blocks[b, 6 * p + 3 + axis] += k * m[p]
+                body_blocks[b, 6 * (3 + axis) + p] += k * m[p]
+            body_blocks[b, 7 * (3 + axis)] += k
 
 
 @kernel
@@ -121,9 +121,9 @@ def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
 
 @kernel
 def _sweep(
-    parent: Integers, order: Integers, depth: Integers, v_start: Integers, motions: Floats, own: Floats,
-    bodies: Integers, wrenches: Floats, start: Integers, stiffness: Floats, first: Integers, entry: Integers,
-    matrix: Floats,
+    parent: Integers, order: Integers, depth: Integers, v_start: Integers, motions: Floats,
+    body_blocks: Floats, bodies: Integers, wrenches: Floats, start: Integers, stiffness: Floats,
+    first: Integers, entry: Integers, matrix: Floats,
 ) -> None:  # fmt: skip
     """Sum rows of blocks inward, and project them on the motions."""
     n, deepest = len(parent), 0
@@ -141,15 +141,15 @@ def _sweep(
         for m in range(first[b], first[b + 1]):
             e = entry[m]
             t = term_of[e]
-            for other in range(start[t], start[t + 1]):
-                c = 6 * bodies[other]
+            for partner in range(start[t], start[t + 1]):
+                c = 6 * bodies[partner]
                 for p in range(6):
                     share = stiffness[t] * wrenches[e, p]
                     for q in range(6):
-                        row[p, c + q] += share * wrenches[other, q]
+                        row[p, c + q] += share * wrenches[partner, q]
         for p in range(6):
             for q in range(6):
-                row[p, 6 * b + q] += own[b, 6 * p + q]
+                row[p, 6 * b + q] += body_blocks[b, 6 * p + q]
         for k in range(v_start[b], v_start[b + 1]):
             for c in range(6 * n):
                 pull[c] = 0.0

@@ -41,12 +41,12 @@ class Push:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
-        gone = float((x[self.bond].mean(axis=0) - x[self.ring].mean(axis=0)) @ self.way)
-        left = max(0.0, _OUT - gone)
+        distance = float((x[self.bond].mean(axis=0) - x[self.ring].mean(axis=0)) @ self.way)
+        remaining = max(0.0, _OUT - distance)
         forces = np.zeros_like(x)
-        forces[self.bond] += _STIFFNESS * left / len(self.bond) * self.way
-        forces[self.ring] -= _STIFFNESS * left / len(self.ring) * self.way
-        return 0.5 * _STIFFNESS * left**2, forces
+        forces[self.bond] += _STIFFNESS * remaining / len(self.bond) * self.way
+        forces[self.ring] -= _STIFFNESS * remaining / len(self.ring) * self.way
+        return 0.5 * _STIFFNESS * remaining**2, forces
 
 
 def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
@@ -54,7 +54,7 @@ def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
     stages = []
     for attempt in range(ATTEMPTS):
         out = replace(
-            gentle, ready=_is_threaded, fit=partial(_pushed, attempt), name="freeing threaded rings"
+            gentle, ready=_is_threaded, fit=partial(_push_bonds, attempt), name="freeing threaded rings"
         )
         stages += [out, closing(gentle)]
     return stages
@@ -64,17 +64,17 @@ def _is_threaded(stage: Stage, at: Placement) -> bool:
     return bool(threaded_rings(_soft(stage).structure, at.x))
 
 
-def _pushed(attempt: int, stage: Stage, x: Floats) -> Stage:
+def _push_bonds(attempt: int, stage: Stage, x: Floats) -> Stage:
     """Stage that pushes each threading bond out over the side of its ring whose turn it is."""
     soft = _soft(stage)
     assert isinstance(stage.energy, Sum)
-    found = threaded_rings(soft.structure, x)
+    rings = threaded_rings(soft.structure, x)
     residue = soft.structure.atom_residue
-    pairs = [(ring.residue, int(residue[atom])) for ring in found for atom in ring.bond]
+    pairs = [(ring.residue, int(residue[atom])) for ring in rings for atom in ring.bond]
     passing = replace(soft, passing=read_only(pairs, np.int64))
-    others = [part for part in stage.energy.parts if part is not soft]
-    pushes: list[Force] = [push_of(soft.structure, x, ring, attempt) for ring in found]
-    return replace(stage, energy=Sum([passing, *others, *pushes]))
+    terms = [part for part in stage.energy.parts if part is not soft]
+    pushes: list[Force] = [push_of(soft.structure, x, ring, attempt) for ring in rings]
+    return replace(stage, energy=Sum([passing, *terms, *pushes]))
 
 
 def _soft(stage: Stage) -> SoftRepulsion:
@@ -97,9 +97,9 @@ def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: in
     share = height[0] / (height[0] - height[1]) if height[0] != height[1] else 0.5
     at = through[0] + np.clip(share, 0.0, 1.0) * (through[1] - through[0])
     far = np.linalg.norm(sides, axis=1) - ways @ at
-    own = np.isin(structure.atom_residue, structure.atom_residue[[*ring, *bond]])
-    others = x[~own] - x[ring].mean(axis=0)
-    crowd = [np.sum(np.linalg.norm(others - _OUT * way, axis=1) < _ROOM) for way in ways]
+    excluded = np.isin(structure.atom_residue, structure.atom_residue[[*ring, *bond]])
+    surroundings = x[~excluded] - x[ring].mean(axis=0)
+    crowd = [np.sum(np.linalg.norm(surroundings - _OUT * way, axis=1) < _ROOM) for way in ways]
     heavy = structure.bonds[(structure.atom_element[structure.bonds] != "H").all(axis=1)]
     leaving = heavy[np.isin(heavy, ring).sum(axis=1) == 1]
     joined = np.isin(ring, leaving).astype(float)

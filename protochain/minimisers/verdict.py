@@ -104,56 +104,56 @@ def verdict(
     """Status and message, from the reason a run ended and the residual that the judge measured."""
     # x (na, 3) nm.
     left = rejected(structure, x) if left is None else left
-    if moved := _stretched(structure, x):
-        measured += f"; bonds of metals that changed by over {_STRETCHED:g} angstrom: {listed(moved, 3)}"
-    status, message = _without_left(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
+    if moved := _changed_metal_bonds(structure, x):
+        measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {listed(moved, 3)}"
+    status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*left, measured])}"
     return status, message if status is Status.CLASH else "; ".join([message, *left])
 
 
-_STRETCHED = 0.05
+_METAL_CHANGE = 0.05
 """Angstrom."""
 
 
-def _stretched(structure: Structure, x: Floats) -> list[str]:
+def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:
     """Bonds of metals whose springs have other lengths at x (na, 3), nm, than in the input."""
     atoms = structure.bonds[structure.coordination].tolist()
-    rest = {tuple(sorted(tie.atoms)): tie.rest for tie in structure.ties if len(tie.atoms) == 2}
-    found = []
+    lengths = {tuple(sorted(tie.atoms)): tie.rest for tie in structure.ties if len(tie.atoms) == 2}
+    lines = []
     for pair in map(tuple, atoms):
-        before, after = (10.0 * each for each in (rest[pair], float(np.linalg.norm(x[pair[0]] - x[pair[1]]))))
-        if abs(after - before) > _STRETCHED:
+        before, after = (10.0 * d for d in (lengths[pair], float(np.linalg.norm(x[pair[0]] - x[pair[1]]))))
+        if abs(after - before) > _METAL_CHANGE:
             ends = (structure.atom(atom) for atom in pair)
             names = (f"{e.residue.chain}:{e.residue.name}{e.residue.number} {e.name}" for e in ends)
-            found.append(f"{' and '.join(names)} {before:.2f} to {after:.2f}")
-    return found
+            lines.append(f"{' and '.join(names)} {before:.2f} to {after:.2f}")
+    return lines
 
 
 def rejected(structure: Structure, x: Floats) -> list[str]:
     """Describe what no result may have: mirror images, other isomers, chains that stand still, faults."""
     # x (na, 3) nm.
-    found = [
+    problems = [
         f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
         for chain in mirror_images(structure.with_positions(x))
     ]
     inverted = atoms_named(structure, inverted_stereocentres(structure, x))
-    found += [f"inverted stereocentres: {listed(inverted)}"] if inverted else []
+    problems += [f"inverted stereocentres: {listed(inverted)}"] if inverted else []
     bonds = double_bonds_named(structure, inverted_double_bonds(structure, x))
-    found += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
-    still, whole = chains_still(structure)
-    found += [f"{still} of {whole} residues of the protein have no parameters: fixed"] * (2 * still > whole)
+    problems += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
+    n_fixed, n = chains_still(structure)
+    problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
     # Torsions change no bond length: such a run would end converged.
-    wrong = wrong_bonds(structure, x)
-    wrong = wrong[~structure.kept[wrong].all(axis=1)]
-    if len(wrong):
-        lines = listed(bond_lines(structure, x, wrong), 3)
-        found.append(f"{counted(len(wrong), 'bond')} of a wrong length: {lines}; {_REMEDY}")
+    wrong_pairs = wrong_bonds(structure, x)
+    wrong_pairs = wrong_pairs[~structure.kept[wrong_pairs].all(axis=1)]
+    if len(wrong_pairs):
+        lines = listed(bond_lines(structure, x, wrong_pairs), 3)
+        problems.append(f"{counted(len(wrong_pairs), 'bond')} of a wrong length: {lines}; {_REMEDY}")
     faults = fixed_faults(structure, x).summary(structure, x)
-    return [*found, faults] if faults else found
+    return [*problems, faults] if faults else problems
 
 
-def _without_left(
+def _force_status(
     stop: Stop,
     met: bool,
     measured: str,
@@ -191,8 +191,8 @@ def _without_left(
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"
     if overlap:
-        more = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
-        return Status.CLASH, f"clash: {overlap[0]}{more}; {measured}"
+        suffix = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
+        return Status.CLASH, f"clash: {overlap[0]}{suffix}; {measured}"
     if threaded:
         remedy = "cartesian and relax try to draw it out; otherwise build these side chains anew"
         return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"

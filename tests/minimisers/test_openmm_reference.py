@@ -12,8 +12,8 @@ import protochain as pc
 from protochain.minimisers import RECIPES, openmm_reference
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import (
-    _Enough,
     _Reporter,
+    _StopMinimisation,
     langevin_dynamics,
     local_energy_minimizer,
     minimise_by_openmm,
@@ -157,7 +157,7 @@ def test_a_reporter_counts_iterations_and_keeps_the_lowest():
 def test_a_reporter_breaks_off_at_the_budget_and_at_interrupts():
     reporter = _Reporter(lambda *row: None, 2, [])
     reporter.count(None), reporter.count(None)
-    with pytest.raises(_Enough):
+    with pytest.raises(_StopMinimisation):
         reporter.count(None)
     assert (reporter.stop, reporter.n_evaluations) == (Stop.BUDGET, 2)
     assert reporter.report(0, [0.0] * 3, [0.0] * 3, {"system energy": 1.0}) is True
@@ -165,7 +165,7 @@ def test_a_reporter_breaks_off_at_the_budget_and_at_interrupts():
     reporter = _Reporter(lambda *row: None, 2, interrupts)
     reporter.count(None)
     interrupts.append(2)
-    with pytest.raises(_Enough):
+    with pytest.raises(_StopMinimisation):
         reporter.count(None)
     assert (reporter.stop, reporter.n_evaluations) == (Stop.INTERRUPTED, 1)
 

@@ -18,10 +18,10 @@ from protochain.minimisers.saddle import (
     SIGN,
     Curvature,
     CurvatureState,
-    _extended,
+    _add_vector,
     _is_shoulder,
     _orthonormal,
-    stepped_off,
+    step_off,
 )
 from protochain.minimisers.spaces import Torsions, spaces
 
@@ -249,10 +249,10 @@ def test_the_way_off_is_on_the_lower_side_as_far_as_the_energy_falls(leaves):
     # The lower side is found on the left as well.
     mirrored = Along(lambda t: -9 * t**2 + t**3 + 5 * t**4, lambda t: 18 * t - 3 * t**2 - 20 * t**3)
     left = Problem(Flat(), mirrored, 1000)
-    assert stepped_off(left, left.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.8
+    assert step_off(left, left.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.8
     # Where the longer turns climb at once, shorter ones are tried; a limit of the run counts as a wall.
     steep = Problem(Flat(), Along(lambda t: -(t**2) + 1e3 * t**4), 1000, allowed=lambda x: x[0, 0] < 0)
-    assert stepped_off(steep, steep.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.025
+    assert step_off(steep, steep.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.025
 
 
 def test_a_budget_that_ends_in_the_search_leaves_it_open():
@@ -294,7 +294,7 @@ def test_of_two_near_eigenvalues_the_lower_is_found():
         new = rng.normal(size=40) if not state.vectors else state.residuals[len(state.vectors) % 3 == 0]
         new = np.linalg.solve(matrix + 5.0 * np.eye(40), new)
         vector = _orthonormal(new, state.vectors)
-        state = _extended(state, vector, matrix @ vector)
+        state = _add_vector(state, vector, matrix @ vector)
         found = np.linalg.eigvalsh(np.array(state.vectors) @ matrix @ np.array(state.vectors).T)
         assert state.ritz == pytest.approx(found[0]) and state.doubt < 1e-9
         for k, residual in enumerate(state.residuals):

@@ -15,7 +15,7 @@ from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
 from protochain.minimisers import Starts, Status, starts
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.starts import _home, parted, perturbed
+from protochain.minimisers.starts import _superpose_on_start, parted, perturbed
 
 
 @dataclass
@@ -113,7 +113,7 @@ def given(monkeypatch):
         return Made(*ends[len(calls) - 1])
 
     monkeypatch.setattr(starts, "minimise", minimise)
-    monkeypatch.setattr(starts, "_home", lambda solution, chain: replace(solution, frame=chain))
+    monkeypatch.setattr(starts, "_superpose_on_start", lambda solution, chain: replace(solution, frame=chain))
     monkeypatch.setattr(starts, "perturbed", lambda here, spread, random: (here, spread, random.normal()))
     return SimpleNamespace(ends=ends, calls=calls)
 
@@ -145,18 +145,18 @@ def test_a_solution_from_a_perturbed_start_is_superposed_on_the_structure_given(
     away = s.with_positions(s.positions @ turn + [1.0, 2.0, 3.0])
     frames = np.array([away.positions, x @ turn + [1.0, 2.0, 3.0]], dtype=np.float32)
     gone = Made(-1.0, x @ turn + [1.0, 2.0, 3.0], frame=Frame(away), frames=frames)
-    home = _home(gone, c)
+    home = _superpose_on_start(gone, c)
     assert home.x == pytest.approx(x, abs=1e-12) and home.frame.start is s and home.energy == -1.0
     assert home.ca_rmsd_angstrom == pytest.approx(size, abs=1e-9)
     assert home.frames == pytest.approx(np.array([s.positions, x]), abs=1e-6)
     assert home.frames.dtype == np.float32 and not home.frames.flags.writeable
     # What is held stays where it is; what started from the structure given is at home.
-    held = _home(replace(gone, frame=Frame(away, "a fixed root")), c)
+    held = _superpose_on_start(replace(gone, frame=Frame(away, "a fixed root")), c)
     assert held.x is gone.x and np.array_equal(held.frames, frames)
     assert held.ca_rmsd_angstrom == pytest.approx(size, abs=1e-9)
     assert held.frame.start is s and held.frame.held_by == "a fixed root"
     first = Made(-1.0, gone.x, frame=Frame(s))
-    assert _home(first, c) is first
+    assert _superpose_on_start(first, c) is first
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from fixtures.quadratics import along, evaluation
 from scipy.optimize import line_search
 
-from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe, _searched
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe, _search_length
 
 
 def heights(told, elsewhere=100.0):
@@ -160,7 +160,7 @@ def test_the_line_search_asks_for_the_same_points_as_scipys():
             )[0]
             before = asked[1:]
             asked.clear()
-            assert _searched(height, slope, start, -slope(0.0)) == theirs and asked == before
+            assert _search_length(height, slope, start, -slope(0.0)) == theirs and asked == before
             n, failed = n + 1, failed + (theirs is None)
     assert n > 200 and 0 < failed < n
 

@@ -33,7 +33,7 @@ def noted(monkeypatch):
 def walked(noted, method="lbfgs", **settings):
     run = Minimisation(RECIPES[method], **settings)
     record = SimpleNamespace(frame=SimpleNamespace(held_by=""))
-    minimise_structure._walked(Start(chain("ala10.pdb"), told()), run, record)
+    minimise_structure._run_stages(Start(chain("ala10.pdb"), told()), run, record)
     return run
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.ligands.dictionary import component
-from protochain.minimisers.verdict import _stretched
+from protochain.minimisers.verdict import _changed_metal_bonds
 from protochain.structure.molecule.repairs import Kind
 
 CASES = "../cases/metals5"
@@ -183,8 +183,8 @@ def test_a_message_names_bonds_of_metals_that_changed():
     x = s.positions.copy()
     nitrogen, iron = s.bonds[row]
     x[nitrogen] += 0.01 * (x[nitrogen] - x[iron]) / np.linalg.norm(x[nitrogen] - x[iron])
-    assert _stretched(s, s.positions) == []
-    assert _stretched(s, x) == ["A:HIS2 NE2 and B:HEM1 FE 2.05 to 2.15"]
+    assert _changed_metal_bonds(s, s.positions) == []
+    assert _changed_metal_bonds(s, x) == ["A:HIS2 NE2 and B:HEM1 FE 2.05 to 2.15"]
 
 
 @pytest.mark.slow
