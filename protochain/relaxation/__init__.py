@@ -1,4 +1,4 @@
-"""Predicted and damaged models made clean, the fold kept."""
+"""Relaxation of predicted and damaged models, with their folds preserved."""
 
 import lazy_loader
 

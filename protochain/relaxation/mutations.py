@@ -1,4 +1,4 @@
-"""``mutate``: residues in place of others, with both sides a function of the fixed atoms alone."""
+"""``mutate``: point mutations, with energies of both sides that depend on the fixed atoms alone."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -34,10 +34,10 @@ from protochain.structure.substitute import LETTERS, substituted
 from protochain.validation.layout import NONE, layout
 
 NEAR = 10.0
-"""Angstrom between C-betas at their ideal places, within which side chains are rebuilt and move."""
+"""Angstrom between C-betas at their ideal positions, within which side chains are rebuilt and move."""
 PROTOCOL: Mapping[str, Any] = MappingProxyType({"preset": "predicted", "stiffness": 0.0, "tolerance": 1.0})
-"""Settings of the relaxation. The fixed backbone keeps the two sides alike. Springs to the rotamers would add
-strain of tens of kJ/mol if a large residue replaces a small one."""
+"""Settings of the relaxation. The fixed backbone makes both sides comparable. Springs to the rotamers would
+add strain of tens of kJ/mol if a large residue replaces a small one."""
 _BETA = 1.53, np.deg2rad(110.1), np.deg2rad(122.8)
 """CA-CB in angstrom, C-CA-CB, and the dihedral N-C-CA-CB: Lovell et al., Proteins 50:437 (2003)."""
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
@@ -47,22 +47,22 @@ _STATES = {
     ("HIS", (True, True)): "HIP", ("HIS", (True, False)): "HID", ("HIS", (False, True)): "HIE",
     ("ASP", (True,)): "ASH", ("GLU", (True,)): "GLH", ("LYS", (False,)): "LYN", ("CYS", (False,)): "",
 }  # fmt: skip
-"""Protonation states by which protons are there; a cysteine that is bonded has none by itself."""
+"""Protonation states by the protons present. A bonded cysteine has no state by itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mutation(Value):
-    """A mutant and its wild type: side chains near the site rebuilt and relaxed alike, the rest fixed.
+    """A mutant and its wild type, with equally rebuilt and relaxed side chains near the site.
 
     Parameters
     ----------
     mutations : tuple of str
         As ``A:L45F``.
     wild, mutant : Relaxation
-        In the same protocol; the same residues could move.
+        Relaxed by the same protocol, with the same moving residues.
     unfolded : float or None, kJ/mol
-        Change of energy of the same residues in pentapeptides GGXGG; None where there is none, as of a
-        cysteine that is bonded.
+        Change of energy of the same residues in pentapeptides GGXGG. None if it is undefined, for example for
+        a bonded cysteine.
     seconds : float
         Wall time of all.
 
@@ -80,22 +80,22 @@ class Mutation(Value):
 
     @property
     def structure(self) -> Structure:
-        """The mutant at its end."""
+        """The relaxed mutant."""
         return self.mutant.structure
 
     @property
     def change(self) -> float:
-        """Energy of the mutant less that of the wild type, kJ/mol. Their atoms differ: use ``ddg``."""
+        """Energy of the mutant minus the wild type's, kJ/mol. Their atoms differ: use ``ddg``."""
         return self.mutant.energy_end - self.wild.energy_end
 
     @property
     def ddg(self) -> float | None:
-        """Change of energy beyond that of pentapeptides, kJ/mol, above 0 if less stable; no free energy."""
+        """Change of energy beyond the pentapeptides', kJ/mol, above 0 if less stable. Not a free energy."""
         return None if self.unfolded is None else self.change - self.unfolded
 
     @property
     def interface_change(self) -> float | None:
-        """Change of the energy of binding of the interface that was named, kJ/mol."""
+        """Change of the binding energy of the interface in the settings, kJ/mol."""
         ends = [side.interface_end for side in (self.wild, self.mutant)]
         if ends[0] is None or ends[1] is None:
             return None
@@ -106,7 +106,7 @@ class Mutation(Value):
         self.mutant.save(path)
 
     def record(self) -> dict[str, Any]:
-        """Flat record behind JSON and tables; None where there is no number."""
+        """Flat record behind JSON and tables, with None for missing numbers."""
         return record(COLUMNS, self)
 
     def __repr__(self) -> str:
@@ -138,29 +138,29 @@ COLUMNS = (
 
 @checked()
 def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutation:
-    """Put residues in place of others, and return the change of energy.
+    """Mutate residues, and return the change of energy.
 
     Side chains with C-betas within 10 angstrom of the site are removed, built on rotamers and relaxed. The
-    backbone and all other atoms stay. The structure itself goes through the same, with the same residues. So
-    the energy of either side depends on the fixed atoms alone: a mutation to the residue itself has ``ddg``
-    0, and the reverse mutation of the mutant has the opposite ``ddg``. Exceptions are residues to mutate
-    whose side chains are bonded to others, or in another protonation state than the usual one.
+    backbone and all other atoms stay fixed. The wild type is treated in the same way, with the same residues.
+    So the energy of each side depends on the fixed atoms alone: a mutation to the same residue has ``ddg``
+    0, and the reverse mutation of the mutant has the opposite ``ddg``. Exceptions are mutated residues whose
+    side chains are bonded to others, or have an unusual protonation state.
 
     Parameters
     ----------
     source : Structure, path, or anything that :func:`protochain.as_structure` takes
         Structure to mutate; relax it first.
     mutations : str or sequence of str
-        As ``"A:L45F"``, several with commas between, all in one mutant; of one chain also ``"L45F"``.
+        As ``"A:L45F"``, separated by commas, all in one mutant. For a single chain also ``"L45F"``.
     **options
-        As for :func:`protochain.relax`, ``interface`` among them, whose energy of binding is compared; the
-        tolerance is 1 kJ/mol/nm by default.
+        As for :func:`protochain.relax`. The binding energies of ``interface`` are compared. The default
+        tolerance is 1 kJ/mol/nm.
 
     Returns
     -------
     Mutation
-        Both sides. ``ddg`` is an energy difference that stands for the change of stability,
-        ``interface_change`` the change of the energy of binding, kJ/mol. Neither is a free energy.
+        Both sides. ``ddg`` is an energy difference that approximates the change of stability,
+        ``interface_change`` the change of the binding energy, kJ/mol. Neither is a free energy.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
 
 
 def protocol(options: Mapping[str, Any], source: Any = None) -> tuple[RelaxSettings, Setup]:
-    """Settings of both sides; a result brings those of its energy."""
+    """Settings of both sides, by default with the energy of a result given as ``source``."""
     if "move" in options:
         raise ProtochainError("mutate has no option 'move': what is near moves")
     base = source.energy_function.settings if has_energy(source) else {}
@@ -191,7 +191,7 @@ def protocol(options: Mapping[str, Any], source: Any = None) -> tuple[RelaxSetti
 
 
 def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int, str]:
-    """Names of the new residues by the index of the old, of mutations as ``A:L45F``."""
+    """Names of new residues by the index of the replaced residue, for mutations as ``A:L45F``."""
     chains, new_names = list(dict.fromkeys(structure.residue_chain.tolist())), dict[int, str]()
     texts = words_of(mutations, "mutations")
     if not texts:
@@ -216,17 +216,17 @@ def mutate_at(
     structure: Structure, names: Mapping[int, str], relaxing: RelaxSettings, setup: Setup,
     results: dict[tuple[Any, ...], Relaxation],
 ) -> Mutation:  # fmt: skip
-    """Return a mutant, whose residues are given by index; ``known`` has the sides of one site so far."""
+    """Return a mutant of residues by index. ``results`` caches the sides of one site."""
     began = perf_counter()
-    # A mutation to the residue itself asks for no other protonation state.
+    # A mutation to the same residue does not change its protonation state.
     new = {r: name for r, name in names.items() if name != structure.residue_name[r]}
     states = _near(structure, [*names])
-    # Both sides choose the tautomer that the surroundings favour: a histidine may come back as the other.
+    # Both sides choose the tautomer that the surroundings favour, so a histidine may change its tautomer.
     states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
     while True:
         built = (states, states | new)
         sides = [substituted(structure, residue_names, **setup.of_building) for residue_names in built]
-        # A neighbour that would get another proton or a new bond stays as it is, on both sides.
+        # A neighbour that would get another proton or a new bond is not rebuilt, on both sides.
         changed = {r for r in states if r not in names and any(_state(s, r) != states[r] for s in sides)}
         if not changed:
             break
@@ -253,7 +253,7 @@ def mutation_label(structure: Structure, r: int, name: str) -> str:
 
 
 def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
-    """States of the residues to rebuild: with C-betas near, by the backbone alone, as on the other side."""
+    """States of the residues to rebuild, chosen by C-betas from the backbone alone, equal on both sides."""
     atoms = layout(structure).atoms("N", "CA", "C")
     (complete,) = np.nonzero((atoms != NONE).all(axis=1))
     n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[complete].T]
@@ -264,7 +264,7 @@ def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
 
 
 def _rebuildable(structure: Structure, r: int) -> str:
-    """State of a standard residue whose side chain has no bonds or ties to others; empty for the rest."""
+    """State of a standard residue whose side chain is not bonded or tied to others, else empty."""
     name, state, residue_of = structure.residue_name[r], _state(structure, r), structure.atom_residue
     side = np.flatnonzero((residue_of == r) & ~np.isin(structure.atom_name, _BACKBONE)).tolist()
     tied = {k for tie in structure.ties for k in tie.atoms}
@@ -276,7 +276,7 @@ def _rebuildable(structure: Structure, r: int) -> str:
 
 
 def _relax(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
-    """Side chains of residues in their best rotamers and relaxed; the backbone and all others stay."""
+    """Put side chains into their best rotamers and relax them, with all other atoms fixed."""
     move = _select_side_chains(structure, near)
     energy = setup.energy(structure, shared_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
@@ -292,7 +292,7 @@ def _select_side_chains(structure: Structure, residues: Sequence[int]) -> str:
 
 
 def _state(structure: Structure, r: int) -> str:
-    """Name of a residue in its protonation state; empty of one that does not stand by itself."""
+    """Name of a residue in its protonation state, empty for a bonded cysteine."""
     name, names = str(structure.residue_name[r]), structure.atom_name[structure.atom_residue == r]
     protons = tuple(proton in names for proton in _PROTONS.get(name, ()))
     return _STATES.get((name, protons), name)
@@ -300,6 +300,6 @@ def _state(structure: Structure, r: int) -> str:
 
 @lru_cache(maxsize=64)
 def _unfolded_energy(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
-    """Energy of a residue within GGXGG by the same protocol: it stands for the unfolded chain, kJ/mol."""
+    """Energy of a residue in GGXGG by the same protocol, a model of the unfolded chain, kJ/mol."""
     peptide = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
     return _relax(peptide, [2], replace(relaxing, interface=""), setup).energy_end

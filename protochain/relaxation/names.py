@@ -10,8 +10,8 @@ _UNRELAXED, _RELAXED = "unrelaxed", "relaxed"
 def relaxed_stem(stem: str) -> str:
     """Name a result after its input.
 
-    As ColabFold and AlphaFold name theirs: ``x_unrelaxed_rank_001_y`` becomes ``x_relaxed_rank_001_y``, and
-    any other name ends in ``.relaxed``.
+    As in ColabFold and AlphaFold, ``x_unrelaxed_rank_001_y`` becomes ``x_relaxed_rank_001_y``. All other
+    names end in ``.relaxed``.
     """
     if _UNRELAXED in stem:
         return _RELAXED.join(stem.rsplit(_UNRELAXED, 1))

@@ -1,4 +1,4 @@
-"""Peptide bonds while a structure is relaxed: twisted ones are turned to trans or cis, and none is lost."""
+"""Peptide bonds during a relaxation: twisted bonds are turned to trans or cis."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,23 +12,23 @@ from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
 
 _STIFFNESS = 1000.0
-"""kJ/mol/rad^2. Springs to a bad model twist against the 84 kJ/mol/rad with which ff14SB resists at most; as
-much again holds them 5 degrees beyond the usual."""
+"""kJ/mol/rad^2. ff14SB resists the twist by springs to a bad model with at most 84 kJ/mol/rad. At 5 degrees
+beyond the usual range this term has the same torque."""
 _USUAL = 25.0
-"""Degrees from the form that a bond should have up to which it feels nothing: 6 are usual in crystals."""
+"""Degrees from the target form up to which the energy is 0. In crystals 6 degrees are usual."""
 _HARMONIC = np.radians(15.0)
-"""Beyond it the torque grows no more: three times that of ff14SB, which draws no angle straight."""
+"""Range beyond which the torque is constant: three times ff14SB's, which does not straighten angles."""
 _NEAR = 0.34
-"""nm between the C-alphas: 0.29 where a bond is cis, 0.38 where it is trans. Noise turns omega the more."""
+"""nm between the C-alphas: 0.29 in cis bonds, 0.38 in trans bonds. Noise changes omega more than this."""
 _SHORTEST = 0.01
-"""nm. Shorter bonds turn no faster."""
+"""nm. Lower limit of bond lengths in the slopes of dihedrals."""
 
 
 @dataclass(frozen=True, eq=False)
 class PeptideBonds:
-    """Push of peptide bonds to trans or cis: E = k/2 sum max(0, d - d0)^2, d the angle from that form.
+    """Restraint of peptide bonds to trans or cis: E = k/2 sum max(0, d - d0)^2, d the angle from that form.
 
-    A bond of usual shape feels nothing. Where d is large, E grows in proportion to it (Huber's function).
+    The energy of bonds of usual shape is 0. At large d, E is linear (Huber's function).
     """
 
     atoms: Integers  # (n, 4) int: C-alpha, C, N and C-alpha of each bond.
@@ -37,10 +37,10 @@ class PeptideBonds:
     @staticmethod
     @lru_cache(maxsize=2)
     def of(structure: Structure) -> "PeptideBonds":
-        """Find the peptide bonds of a protein, and the form that each should have.
+        """Find the peptide bonds of a protein, and their target forms.
 
-        That is trans, but where the file has it cis, and before proline where cis is nearer; and then only if
-        the C-alphas are as near as in a cis bond.
+        The target is cis if the C-alphas are as close as in a cis bond, and the bond is cis in the file or
+        precedes a proline and is nearer to cis. All other targets are trans.
         """
         bonds, amino = omegas(structure), layout(structure)
         before, after = amino.atoms("CA", "C")[amino.before], amino.atoms("N", "CA")
@@ -50,18 +50,18 @@ class PeptideBonds:
         return PeptideBonds(atoms, (bonds.cis | nearer) & (distance < _NEAR))
 
     def away(self, x: Floats) -> Floats:
-        """Angles (n,) from the form that each bond should have, degrees, at positions x (na, 3), nm."""
+        """Angles (n,) from the target forms, degrees, at positions x (na, 3), nm."""
         return self._away(dihedrals(x, self.atoms))
 
     def _away(self, angles: Floats) -> Floats:
         return np.where(self.cis, np.abs(angles), 180.0 - np.abs(angles))
 
     def twisted_bonds(self, x: Floats) -> Integers:
-        """(n,) int: nitrogens of the bonds that are twisted, or cis for trans, or trans for cis."""
+        """(n,) int: nitrogens of bonds that are twisted, or have the other form."""
         return self.atoms[self.away(x) > PLANAR, 2]
 
     def reversed_bonds(self, x: Floats) -> Integers:
-        """(n,) int: nitrogens of the twisted bonds that are nearer to the other form, beyond a barrier."""
+        """(n,) int: nitrogens of twisted bonds that are nearer to the other form, beyond a barrier."""
         return self.atoms[self.away(x) > PERPENDICULAR, 2]
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:

@@ -1,4 +1,4 @@
-"""Planar atoms with three neighbours while a structure is relaxed: folded ones are opened."""
+"""Planar atoms with three neighbours during a relaxation: folded atoms are flattened."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,19 @@ from protochain.core.arrays import Floats, Integers
 from protochain.structure.molecule.model import Structure, of_atoms
 
 _STIFFNESS = 2000.0
-"""kJ/mol. Against it, angles of 90 and 180 degrees, which a force field keeps, gain some 700 kJ/mol/rad."""
+"""kJ/mol. A force field maintains angles of 90 and 180 degrees. There torques are about 700 kJ/mol/rad."""
 _UNUSUAL = 0.3
-"""Squared length of the sum of the three directions from which on an atom is pushed. It is 0 for angles of
-120 degrees, at most 0.05 in rings of usual shape, and above 1 where all neighbours lie on one side."""
+"""Threshold of the squared length of the sum of the three directions. It is 0 for angles of 120 degrees, at
+most 0.05 in rings of usual shape, and above 1 if all neighbours are on one side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Push of planar atoms into the middle of their neighbours: E = k/2 sum max(0, |s|^2 - s0)^2.
+    """Restraint of planar atoms to the centre of their neighbours: E = k/2 sum max(0, |s|^2 - s0)^2.
 
-    s is the sum of the unit vectors to the three neighbours. Where these lie on one side, one of them between
-    the others, harmonic angles hold the atom in a minimum of their own, with angles of 80 to 90 degrees, and
-    no force leads out of it. An atom of usual shape feels nothing.
+    s is the sum of the unit vectors to the three neighbours. If all neighbours are on one side of the atom,
+    harmonic angles have another minimum, with angles of 80 to 90 degrees, which no force leaves. The energy
+    of atoms of usual shape is 0.
     """
 
     atoms: Integers  # (n, 4) int: Centre and its three neighbours.
@@ -28,7 +28,7 @@ class Planes:
     @staticmethod
     @of_atoms
     def of(structure: Structure) -> "Planes":
-        """Find carbons of three bonds, and nitrogens of three bonds beside one."""
+        """Find carbons with three bonds, and nitrogens with three bonds next to such a carbon."""
         neighbours = structure.neighbours
         three = np.array([len(bonded) == 3 for bonded in neighbours]) & ~structure.obstacle
         carbon = three & (structure.atom_element == "C")

@@ -10,25 +10,25 @@ KCAL_PER_ANGSTROM2 = 418.4
 
 @dataclass(frozen=True)
 class Preset:
-    """How firmly a structure is held while it is relaxed, and how far.
+    """Strengths of the springs of a relaxation, and its tolerance.
 
     Parameters
     ----------
     name : str
-        By which it is chosen.
+        Value of the option that selects it.
     backbone, side_chains : tuple of float, kJ/mol/nm^2
-        Springs E = k/2 d^2 from heavy atoms to the input, one strength after the other; hydrogens have none.
+        Springs E = k/2 d^2 from heavy atoms to the input, a strength for each stage. Hydrogens have none.
     tolerance : float, kJ/mol/nm
-        RMS force, springs included, at which each of them ends.
+        RMS force, springs included, at which each stage ends.
     source : str
-        Where the numbers come from.
+        Source of the numbers.
     softened : tuple of (float, float)
-        Soft repulsions that part overlapping atoms, one after the other, before they feel the force field:
-        range, as a share of the contact distance, and stiffness in kJ/mol/nm^2.
+        Soft repulsions that separate overlapping atoms in stages before the force field acts: range, as a
+        share of the contact distance, and stiffness in kJ/mol/nm^2.
     forcefield, solvent : str
-        Those of the protocol; empty for those of the settings.
+        Force field and solvent of the protocol. Empty for the values of the settings.
     planar : bool
-        Whether peptide bonds that springs twist are held within the usual, as long as springs act.
+        Whether peptide bonds are restrained to their usual range while springs act.
     """
 
     name: str
@@ -43,8 +43,8 @@ class Preset:
 
 
 IN_RIGID_PROTEIN = (0.85, 1e3), (0.85, 1e4)
-"""Soft repulsions of ligands that move alone. The first bends no bonds: it moves a ligand as a whole, where
-a firmer one leaves it wrapped around atoms of the protein; at a range of 0.7 many stay so, too."""
+"""Soft repulsions if only ligands move. The first moves a ligand as a whole and does not bend bonds. After a
+stiffer one ligands stay wrapped around atoms of the protein. With a range of 0.7 many do so, too."""
 
 _ALPHAFOLD = 10.0 * KCAL_PER_ANGSTROM2
 _BINDER = 3.0 * KCAL_PER_ANGSTROM2

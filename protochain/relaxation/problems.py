@@ -56,11 +56,11 @@ class Problems:
 
     @cached_property
     def violations(self) -> Violations:
-        """Bonds, angles and distances that no sound structure has."""
+        """Bonds, angles and distances beyond their limits."""
         return violations(self.structure, self.x)
 
     def of_rings(self) -> list[int]:
-        """Residues of rings and of the bonds that go through them."""
+        """Residues of threaded rings and of the bonds through them."""
         return [int(self.structure.atom_residue[i]) for ring in self.rings for i in (*ring.atoms, *ring.bond)]
 
     def mendable(self) -> NDArray[np.bool_]:

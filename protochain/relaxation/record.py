@@ -1,4 +1,4 @@
-"""Columns of a relaxation's record, named as those of a solution: the one table behind JSON and CSV."""
+"""Columns of a relaxation's record in JSON and CSV. Names are the same as in a solution's record."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -82,7 +82,7 @@ COLUMNS = (
     *columns.of_losses(_start),
     Column("threads", lambda r: r.energy_function.threads, kind=int | None),
 )
-"""In the order in which a reader looks at them."""
+"""In the order of a reader's interest."""
 
 _OF_ALL_FRAMES = (
     "structure", "method", "judge", "frame", "ligands", "rounds", "n_chains", "n_residues", "n_atoms",
@@ -92,14 +92,14 @@ _OF_ALL_FRAMES = (
     "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
     "threads", "seconds", "timings", "restraint_violations",
 )  # fmt: skip
-"""What frames of one ensemble have in common, and the seconds of rounds alone."""
+"""Columns that all frames of one ensemble share, and the seconds of rounds alone."""
 
 OF_FRAMES = tuple(column for column in COLUMNS if column.key not in _OF_ALL_FRAMES)
 """Columns of a frame of an ensemble."""
 
 
 def interface_column(key: str, when: str) -> str:
-    """Name of a column: the unit stays its end."""
+    """Name of a column, with the unit at its end."""
     ending = next((ending for ending in UNITS if key.endswith(ending)), "")
     return f"interface_{key.removesuffix(ending)}_{when}{ending}"
 
@@ -116,7 +116,7 @@ INTERFACE_COLUMNS = (
         for when in ("start", "end")
     ),
 )
-"""Further columns, where an interface is scored."""
+"""Further columns if an interface is scored."""
 
 
 def _strain(ligands: tuple[LigandFound, ...]) -> float | None:
@@ -128,7 +128,7 @@ ENERGY = "energy, kJ/mol"
 
 
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return what is compared in words, before and after; measures that are 0 in both are left out."""
+    """Return rows of measures before and after, as text. Measures that are 0 in both are skipped."""
     rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
     rows.append(
         ("overlaps with molecules kept with the protein", record["overlaps_beside_start"],
@@ -151,7 +151,7 @@ _COMPARED_SCORES = (
     "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity", "hydrogen_bonds", "salt_bridges",
     "unsatisfied_polar_atoms", "clashes",
 )  # fmt: skip
-"""Scores of an interface that are compared in words."""
+"""Scores of an interface in the comparison."""
 
 
 def _format_score(value: Any) -> str:
@@ -165,4 +165,4 @@ def _format(value: Any) -> str:
 
 
 _LARGE_VALUE = 1e7
-"""Numbers from which on are written with an exponent: energies of overlapping atoms."""
+"""Limit above which numbers have exponents: energies of overlapping atoms."""

@@ -1,4 +1,4 @@
-"""Settings of a relaxation, checked once."""
+"""Settings of a relaxation, validated once."""
 
 import math
 from collections.abc import Iterable
@@ -19,19 +19,19 @@ from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 @document_settings()
 @dataclass(frozen=True)
 class RelaxSettings(Settings):
-    """How a structure is relaxed.
+    """Settings of a relaxation.
 
     Parameters
     ----------
     preset : str
-        ``predicted`` for models: springs from all heavy atoms to the input; ``crystal``: weaker ones on side
-        chains; ``design``: on the backbone alone, weakened and removed in three stages, after soft repulsion.
+        ``predicted`` for models: springs from all heavy atoms to the input. ``crystal``: weaker on side
+        chains. ``design``: on the backbone alone, weakened and removed in three stages, after soft repulsion.
     protocol : str
-        ``alphafold`` for AlphaFold's force field, solvent, springs and tolerance, to compare like with like:
-        amber99sb in vacuum. Bonds to hydrogen are not constrained here, as they are there. Empty for none.
+        ``alphafold`` for AlphaFold's force field (amber99sb), solvent (vacuum), springs and tolerance, for
+        comparisons. Unlike in AlphaFold, bonds to hydrogen are not constrained. Empty for none.
     rebuild_side_chains, sequence : str
-        As of :class:`protochain.Setup`: side chains that are built anew from the backbone, of a selection or
-        ``all``; a sequence to put on it.
+        As in :class:`protochain.Setup`: selection of side chains to rebuild from the backbone, or ``all``,
+        and a sequence to build on the backbone.
 
     Raises
     ------
@@ -129,7 +129,7 @@ class RelaxSettings(Settings):
 
     @property
     def strength(self) -> Preset:
-        """The preset or protocol, with the tolerance and stiffness that were given in place of its own."""
+        """The preset or protocol, with the tolerance and stiffness of the settings, if given."""
         preset = PROTOCOLS[self.protocol] if self.protocol else PRESETS[self.preset]
         if self.tolerance is not None:
             preset = replace(preset, tolerance=self.tolerance)
@@ -141,7 +141,7 @@ class RelaxSettings(Settings):
         return preset
 
     def setup(self, base: Setup) -> Setup:
-        """Return a setup with the force field and solvent of the protocol, and the side chains to build."""
+        """Return a setup with the protocol's force field and solvent, and the side chains to build."""
         strength = self.strength
         for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
             value, fixed = getattr(base, name), getattr(strength, name)
@@ -164,12 +164,12 @@ NAMES = tuple(field.name for field in fields(RelaxSettings))
 
 
 def fixed_options(relaxing: RelaxSettings, options: Iterable[str]) -> set[str]:
-    """Names of settings that are given: by options, or by the protocol."""
+    """Names of settings that options or the protocol set."""
     return {*options, *(name for name in ("forcefield", "solvent") if getattr(relaxing.strength, name))}
 
 
 def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
-    """Split options into the settings of a relaxation and those of a setup."""
+    """Split options into settings of the relaxation and of the setup."""
     of_setup = tuple(field.name for field in fields(Setup) if field.name not in WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
@@ -181,4 +181,4 @@ def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
 
 
 WITHOUT = ("hinges", "root")
-"""Settings of rigid bodies, of which there are none where all atoms move."""
+"""Settings of rigid bodies, which a relaxation of all atoms does not have."""

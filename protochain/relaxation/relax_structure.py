@@ -1,4 +1,4 @@
-"""``relax``: a predicted or experimental structure in, a clean one out, the fold kept."""
+"""``relax``: relaxation of predicted and experimental structures that preserves the fold."""
 
 from __future__ import annotations
 
@@ -49,23 +49,22 @@ _NAMED = 3
 def relax(
     source: Any, preset: str = defaults.PRESET, *, watch: Watcher | None = None, **options: Any
 ) -> Relaxation:
-    """Relax a structure: overlaps, broken bonds and strain gone, the fold kept.
+    """Relax a structure: remove overlaps, broken bonds and strain, and preserve the fold.
 
-    All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them)
-    or overlaps are left, restraints of the residues concerned and their neighbours are weakened, then
-    removed, and all is minimised again; the springs of the others lead to the first input always, so that
-    drift cannot add up.
+    All atoms move, with springs from the heavy atoms to the input. If violations (as AlphaFold counts them)
+    or overlaps remain, the springs of these residues and their neighbours are weakened, then removed, and the
+    structure is minimised again. All other springs always pull to the original input, so that drift cannot
+    accumulate.
 
     Parameters
     ----------
     source : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure to relax. Of a result, its energy and selection are those of the relaxation, where options
-        name no others.
+        Structure to relax. If it is a result, its energy and selection are the defaults of the relaxation.
     preset : str
-        ``predicted``, ``crystal`` or ``design``; see :class:`protochain.relaxation.RelaxSettings`.
+        ``predicted``, ``crystal`` or ``design`` (see :class:`protochain.relaxation.RelaxSettings`).
     watch : callable, optional
-        Called with a row of the trace and the positions of each point, to show progress. Its method
-        ``at_stage``, if it has one, is called with what is done, and the evaluations so far.
+        Called with a row of the trace and the positions of each point, to show progress. Its optional method
+        ``at_stage`` is called with the name of the stage and the evaluations so far.
     **options
         Further fields of ``RelaxSettings`` (``protocol``, ``tolerance``, ``stiffness``,
         ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``,
@@ -77,13 +76,12 @@ def relax(
     Returns
     -------
     Relaxation
-        Never of higher energy than its start, restraints included. Its status says what is left to mend, if
-        anything is.
+        Its energy, restraints included, is never above the start's. Its status reports remaining problems.
 
     Raises
     ------
     ProtochainError
-        If an option makes no sense, or the input cannot be used.
+        If an option is invalid, or the input cannot be used.
 
     Examples
     --------
@@ -107,7 +105,7 @@ def relax_structure(
     watch: Watcher | None = None,
     move: str = defaults.MOVE,
 ) -> Relaxation:
-    """Relax a structure whose energy is built; the settings' force field is that of the energy."""
+    """Relax a structure with a prepared energy, whose force field is the one that the settings require."""
     if settings.mirror:
         structure = with_mirror_images(structure)
     if settings.interface:
@@ -119,7 +117,7 @@ def relax_structure(
     of_ligands = np.zeros(structure.n_atoms, dtype=bool)
     of_ligands[[k for ligand in structure.ligands for k in ligand.atoms]] = True
     if not mobile[~of_ligands].any():
-        # In a rigid protein nothing but the pose can give way: springs to it would hold its overlaps.
+        # In a rigid protein only the pose can change: springs to it would preserve its overlaps.
         excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
     check_dihedrals(energy, "relax")
     energy = begun(energy, structure.positions)
@@ -168,12 +166,12 @@ def relax_structure(
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Libraries with threads of their own, all loaded by now; to look for them takes as long as an energy."""
+    """Find libraries with thread pools, all loaded by now. The search costs as much as an energy."""
     return ThreadpoolController()
 
 
 class _Trace:
-    """Collects a row for each point accepted, and passes it on to whoever watches."""
+    """Collects a row for each accepted point, and passes it to the callback."""
 
     def __init__(self, watch: Watcher | None) -> None:
         self.watch, self.began = watch, perf_counter()
@@ -193,7 +191,7 @@ class _Trace:
 
 
 def _unrestrained_residues(structure: Structure, settings: RelaxSettings) -> NDArray[np.bool_]:
-    """(nr,) bool: residues without springs: with an atom in the selection, and ligands if they are free."""
+    """(nr,) bool: residues without springs, which have selected atoms or are free ligands."""
     free = np.zeros(structure.n_residues, dtype=bool)
     if settings.exclude:
         free[structure.atom_residue[select(structure, settings.exclude)]] = True
@@ -212,7 +210,7 @@ def _held_by(mobile: NDArray[np.bool_], settings: RelaxSettings) -> str:
 def _repack(
     structure: Structure, energy: Energy, mobile: NDArray[np.bool_], settings: RelaxSettings
 ) -> Structure:
-    """The structure with side chains of a region, or that are in the way of others, in other rotamers."""
+    """The structure with new rotamers of the side chains in a region, or of conflicting side chains."""
     if not (settings.repack or settings.repack_region):
         return structure
     from protochain.relaxation.repack import repack_side_chains
@@ -244,13 +242,13 @@ def _verdict(
 
 
 def _newly_inverted(problems: Problems) -> list[str]:
-    """Stereocentres that were right and are inverted now; that others became right is as it should be."""
+    """Stereocentres that were correct at the start and are inverted now. Corrected centres are ignored."""
     s = problems.structure
     return atoms_named(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).wrong(s.positions)))
 
 
 def _newly_reversed(problems: Problems) -> Integers:
-    """Nitrogens of peptide bonds that had the form that they should have, and have the other."""
+    """Nitrogens of peptide bonds that had the target form at the start and have the other form now."""
     s = problems.structure
     return np.setdiff1d(problems.reversed_peptides, PeptideBonds.of(s).twisted_bonds(s.positions))
 
@@ -261,12 +259,12 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 
 
 def describe_problems(problems: Problems) -> list[str]:
-    """What is left to mend, by name."""
+    """Names of the remaining problems."""
     lines = rejected(problems.structure, problems.x)
     lines += [listed([*map(str, problems.rings)], 2)] if problems.rings else []
     twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
     lines += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []
-    # A break of the chain is no fault of the model: it is cropped, and its numbers may run on.
+    # Breaks of the chain are not errors of the model, which may be cropped, with continuous numbers.
     residues = np.flatnonzero(problems.mendable()).tolist()
     if not residues:
         return lines

@@ -1,4 +1,4 @@
-"""Side chains put into the best of their rotamers."""
+"""Repacking: side chains are put into the best of their rotamers."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -24,11 +24,11 @@ from protochain.validation.rotamers import side_chains
 from protochain.validation.violations import violations
 
 _NEAR = 0.6
-"""Of the sum of the van der Waals radii: nearer atoms are in each other's way. Hydrogen bonds are longer."""
+"""Share of the sum of the van der Waals radii. Closer atoms are in conflict. Hydrogen bonds are longer."""
 _STAYING = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "CB", "C", "O", "OXT")
 """Atoms of a residue that no chi turns."""
 _ROUNDS = 3
-"""With the residues that are still in the way, as often."""
+"""Repetitions, with the residues that are still in conflict."""
 
 
 def repack_side_chains(
@@ -40,10 +40,10 @@ def repack_side_chains(
 ) -> Structure:
     """Put side chains into the best of their rotamers, all at once.
 
-    Each may stay as it is, or take the dihedrals of a rotamer, turned by up to 12 degrees; bond lengths,
-    bond angles and the backbone stay. The choice is the global minimum of the force field's energy between
-    them and with all that stays, softened as is usual for rigid rotamers. moving (na,) bool.
-    Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
+    Candidates are the input's dihedrals and the rotamers, turned by up to 12 degrees. Bond lengths, bond
+    angles and the backbone do not change. The choice is the global minimum of the force field's energy of the
+    side chains, softened as is usual for rigid rotamers. moving (na,) bool.
+    Rotamers depend on the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
     chosen = conflicting_residues(structure) if residues is None else _check_residues(structure, residues)
     x, repairs = structure.positions, tuple[Repair, ...]()
@@ -62,7 +62,7 @@ def repack_side_chains(
 
 
 def conflicting_residues(structure: Structure) -> Integers:
-    """Residues (n,) whose side chain overlaps, clashes, is too near, threads a ring, or is on no rotamer."""
+    """Residues (n,) whose side chain overlaps, clashes, is too close, threads a ring, or fits no rotamer."""
     x = structure.positions
     outliers = violations(structure, x)
     crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
@@ -87,7 +87,7 @@ def _check_residues(structure: Structure, residues: Iterable[int]) -> Integers:
 
 
 def _terms(structure: Structure, energy: Energy | None) -> Terms:
-    """Terms of an energy, or of the default force field where that has none that can be taken apart."""
+    """Terms of an energy, or of the default force field if that energy cannot be decomposed."""
     terms = terms_of(energy)
     return terms or compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
 
@@ -95,7 +95,7 @@ def _terms(structure: Structure, energy: Energy | None) -> Terms:
 def _assign_rotamers(
     structure: Structure, terms: Terms, turning: list[Rotamers]
 ) -> tuple[Floats, tuple[Repair, ...]]:
-    """Positions with the best rotamers, and what was turned."""
+    """Positions with the best rotamers, and repairs of the turned side chains."""
     x = np.array(structure.positions)
     interactions = Interactions(terms, structure.positions, turning)
     assignment = best([interactions.self_energies(i) for i in range(len(turning))], interactions.pairs())
@@ -110,6 +110,6 @@ def _assign_rotamers(
 
 
 def _in_the_way(structure: Structure, x: Floats, chosen: Integers) -> Integers:
-    """Residues with atoms too near to those of chosen ones."""
+    """Residues with atoms too close to atoms of the chosen residues."""
     pairs = structure.atom_residue[near_pairs(structure, x, _NEAR)[0]]
     return np.unique(pairs[np.isin(pairs, chosen).any(axis=1)])

@@ -42,45 +42,45 @@ class Relaxation(RunEnds):
     Parameters
     ----------
     start : Structure
-        The input, as it was prepared.
+        The prepared input.
     x : (na, 3) float, nm
         Positions at the end, in the frame of the start.
     settings : RelaxSettings
-        How it was relaxed.
+        Settings of the relaxation.
     energy_function : Energy
-        Force field and solvent, without the springs, which are the run's alone.
+        Force field and solvent, without the springs of the run.
     rounds : tuple of Round
-        Minimisations, one after the other.
+        Minimisations in their order.
     best : int
-        Index of the round whose end is the result: the one with the fewest residues in trouble.
+        Index of the round whose end is the result: the round with the fewest residues with problems.
     status : Status
-        How it ended, as judged; ``violations`` if it converged with some left.
+        Status by the judge, ``violations`` if the run converged and some remain.
     message : str
-        Status, what is left to mend, and the residual, in words.
+        Status, remaining problems, and the residual, as text.
     energy_start, energy_end : float, kJ/mol
-        Of the force field alone, without springs, by the judge.
+        Energies of the force field alone, without springs, by the judge.
     rms_force : float, kJ/mol/nm
         At the end, springs included, by the judge.
     judge : str
-        What computed them.
+        Energy that computed them.
     frame : Frame
-        Says what held the run in place.
+        Frame of reference of the run.
     seconds : float
         Wall time of all rounds, without preparation and measures.
     trace : (n, 5) float
-        A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
+        A row for each iteration, with columns ``TRACE_COLUMNS``. Energies are without springs.
     turned : tuple of Repair
-        Side chains put into other rotamers first.
+        Side chains with new rotamers before the first round.
     restraints : two float or None, kJ/mol
-        Energies at start and end of what held the end, no part of others; None where nothing did.
+        Energies of springs and restraints at start and end, not part of other energies. None without any.
     restraint_values : tuple of RestraintValue
-        Values and violations of the restraints beside the springs at the end.
+        Values and violations of the user's restraints at the end.
     timings : mapping of str to float, s
         Wall time by part, as of :class:`protochain.Solution`.
     move : str
-        Selection of what may move.
+        Selection of the moving atoms.
     moving : (na,) bool, optional
-        Atoms that may move; all others stay where they are, bit for bit.
+        Atoms that may move. All others stay in place, bit for bit.
 
     Examples
     --------
@@ -113,23 +113,23 @@ class Relaxation(RunEnds):
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure at the end, with all its hydrogens; its repairs tell of all that was turned."""
+        """Structure at the end, with all hydrogens. Its repairs list the turned groups."""
         noted = (*self.start.repairs, *self.turned, *self.stereocentres_corrected, *self.peptides_turned)
         return replace(self.start, positions=self.x, repairs=noted)
 
     @cached_property
     def problems_start(self) -> Problems:
-        """What is to be mended at the start."""
+        """Problems at the start."""
         return Problems(self.start, self.start.positions)
 
     @cached_property
     def problems_end(self) -> Problems:
-        """What is left of it at the end."""
+        """Problems at the end."""
         return Problems(self.start, self.x)
 
     @cached_property
     def stereocentres_corrected(self) -> tuple[Repair, ...]:
-        """Stereocentres that were inverted, and are right at the end."""
+        """Stereocentres that were inverted at the start and are correct at the end."""
         s, index = (self.start, np.setdiff1d(self.problems_start.inversions, self.problems_end.inversions))
         residues = s.atom_residue[index]
         names = {residue: s.atom_name[index[residues == residue]] for residue in np.unique(residues).tolist()}
@@ -140,7 +140,7 @@ class Relaxation(RunEnds):
 
     @cached_property
     def peptides_turned(self) -> tuple[Repair, ...]:
-        """Peptide bonds that were twisted, and are trans or cis at the end."""
+        """Peptide bonds that were twisted at the start and are trans or cis at the end."""
         s, bonds = self.start, PeptideBonds.of(self.start)
         mended = np.setdiff1d(self.problems_start.peptides, self.problems_end.peptides)
         return tuple(
@@ -155,12 +155,12 @@ class Relaxation(RunEnds):
 
     @cached_property
     def ligands_start(self) -> tuple[LigandFound, ...]:
-        """What is found of each ligand at the start."""
+        """Findings of each ligand at the start."""
         return findings_of(self.start, self.start.positions, posebusters=self.settings.posebusters)[0]
 
     @cached_property
     def ligands_end(self) -> tuple[LigandFound, ...]:
-        """What is found of each ligand at the end."""
+        """Findings of each ligand at the end."""
         return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
 
     @property
@@ -170,12 +170,12 @@ class Relaxation(RunEnds):
 
     @cached_property
     def interface_start(self) -> Interface | None:
-        """Scores of the interface that the settings name, at the start; None if they name none."""
+        """Scores of the settings' interface at the start, None without an interface."""
         return self._score_interface(self.start)
 
     @cached_property
     def interface_end(self) -> Interface | None:
-        """Scores of the interface at the end."""
+        """Scores of the settings' interface at the end."""
         return self._score_interface(self.structure)
 
     def _score_interface(self, structure: Structure) -> Interface | None:
@@ -191,7 +191,7 @@ class Relaxation(RunEnds):
 
     @property
     def farthest_angstrom(self) -> float:
-        """Largest distance of a heavy atom from where it was."""
+        """Largest displacement of a heavy atom."""
         away = np.linalg.norm(self.x - self.start.positions, axis=1)
         return float(ANGSTROM_PER_NM * np.max(away[self.start.atom_element != "H"]))
 
@@ -202,18 +202,18 @@ class Relaxation(RunEnds):
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy, not above that of the start; with restraints, of their sum."""
+        """Whether the energy at the end, restraints included, is finite and not above the start's."""
         before, after = (self.restraints if self.restraint_values else None) or (0.0, 0.0)
         above = self.energy_end + after > self.energy_start + before
         return bool(np.isfinite(self.energy_end) and not above)
 
     def save(self, path: str | Path) -> None:
-        """Write the structure with its provenance, as PDB or mmCIF by suffix; without hydrogens if so asked.
+        """Write the structure with provenance, as PDB or mmCIF by suffix. ``keep_hydrogens`` applies.
 
         Raises
         ------
         StructureError
-            If the suffix is unknown, or the format cannot hold the structure.
+            If the suffix is unknown, or the format cannot represent the structure.
         """
         save(self.structure, path, self.provenance(), hydrogens=self.settings.keep_hydrogens)
 
@@ -231,11 +231,11 @@ class Relaxation(RunEnds):
         )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
-        """Flat record behind JSON and tables, named as that of a solution; None where there is no number."""
+        """Flat record behind JSON and tables, with the keys of a solution, and None for missing numbers."""
         return record((*COLUMNS, *(INTERFACE_COLUMNS if self.settings.interface else ())), self)
 
     def ends(self) -> dict[str, Structure]:
-        """Start and end, by ``input`` and ``relaxed``."""
+        """Start and end, with keys ``input`` and ``relaxed``."""
         return {"input": self.start, "relaxed": self.structure}
 
     def __repr__(self) -> str:

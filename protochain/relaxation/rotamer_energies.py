@@ -1,9 +1,9 @@
-"""Energies of the rotamers of side chains: each with what stays, and pairs of two.
+"""Energies of the rotamers of side chains, with the fixed atoms and between pairs.
 
-Terms are the force field's own: torsions, Lennard-Jones and Coulomb, hydrogens included. As is usual for
+Terms are the force field's: torsions, Lennard-Jones and Coulomb, hydrogens included. As is usual for
 rigid rotamers, repulsion is softened: radii are scaled by 0.9 (Dahiyat, Mayo, PNAS 94:10172, 1997) and the
-energy goes on linearly within 0.6 of the contact (Alford et al., J. Chem. Theory Comput. 13:3031, 2017);
-Coulomb's constant is divided by four times the distance in angstrom, for the solvent.
+energy is linear within 0.6 of the contact (Alford et al., J. Chem. Theory Comput. 13:3031, 2017).
+To model the solvent, Coulomb's constant is divided by four times the distance in angstrom.
 """
 
 from collections.abc import Sequence
@@ -19,22 +19,22 @@ from protochain.relaxation.rotamers import Rotamers
 from protochain.structure.sidechains.conflicts import Pairs, sphere, touching
 
 _TWIST = 0.5
-"""Of the torsions, which the frequencies of rotamers tell too."""
+"""Weight of the torsions, which the frequencies of rotamers contain too."""
 _SOFT = 0.9
-"""Of the radii."""
+"""Scale of the radii."""
 _LINEAR = 0.6
-"""Of the distance of the minimum: within, repulsion is linear."""
+"""Share of the distance of the minimum, within which repulsion is linear."""
 _CUTOFF = 0.6
 """nm: Lennard-Jones and Coulomb energies are shifted to zero there."""
 _DIELECTRIC = 40.0
 """1/nm: relative permittivity over distance."""
 _CLOSEST = 0.1
-"""nm: charges nearer than this feel no more."""
+"""nm. The Coulomb energy is constant below this distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Parameters:
-    """Of all pairs (k, m) of two groups of atoms."""
+    """Parameters of all pairs (k, m) of two groups of atoms."""
 
     a12: Floats
     b6: Floats
@@ -44,7 +44,7 @@ class _Parameters:
 
 
 class Interactions:
-    """Energies of rotamers by the terms of a force field, all else being at x (na, 3) nm."""
+    """Energies of rotamers by the terms of a force field, with all other atoms at x (na, 3) nm."""
 
     def __init__(self, terms: Terms, x: Floats, rotamers: Sequence[Rotamers]) -> None:
         self.terms, self.x, self.rotamers = terms, x, rotamers
@@ -61,7 +61,7 @@ class Interactions:
         self._torsions = Bonded(torsions.atoms[turns], torsions.parameters[turns])
 
     def self_energies(self, i: int) -> Floats:
-        """(n_i,) float, kJ/mol: rarity, torsions, and energy with itself and with all that stays."""
+        """(n_i,) float, kJ/mol: rarity, torsions, and energies within the side chain and with fixed atoms."""
         site = self.rotamers[i]
         centre, reach = sphere(site.x)
         near = self._still[np.sort(self._tree.query_ball_point(centre, reach + _CUTOFF))]
@@ -72,7 +72,7 @@ class Interactions:
         return np.asarray(site.cost + self._torsion_energies(site) + outer + inside)
 
     def pairs(self) -> Pairs:
-        """(n_i, n_j) float, kJ/mol: energies between the rotamers of all sites i < j that may touch."""
+        """(n_i, n_j) float, kJ/mol: energies between the rotamers of all sites i < j in reach."""
         tables = {}
         for i, j in touching([site.x for site in self.rotamers], _CUTOFF):
             first, second = self.rotamers[i], self.rotamers[j]
@@ -97,7 +97,7 @@ class Interactions:
         return _Parameters(a12, b6, charges, _LINEAR**2 * np.cbrt(ratio))
 
     def _torsion_energies(self, arm: Rotamers) -> Floats:
-        """(n,) float: energies of the torsions that turn."""
+        """(n,) float: energies of the turning torsions."""
         is_turning = np.isin(self._torsions.atoms, arm.atoms).any(axis=1)
         atoms, parameters = self._torsions.atoms[is_turning], self._torsions.parameters[is_turning]
         involved, place = np.unique(atoms, return_inverse=True)
@@ -111,7 +111,7 @@ class Interactions:
 
 
 def _exceptions_by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
-    """Pairs with parameters of their own: the others of each atom, and A, B and the charges' product."""
+    """Exceptions by atom: the partners of each atom, with A, B and the product of the charges."""
     by_atom: dict[int, list[tuple[int, list[float]]]] = {}
     for (i, j), values in zip(exceptions.atoms.tolist(), exceptions.parameters.tolist(), strict=True):
         by_atom.setdefault(i, []).append((j, values))
@@ -121,7 +121,7 @@ def _exceptions_by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[fl
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _felt(r2: float, a12: float, b6: float, charges: float, linear: float) -> float:
-    """Energy of two atoms at a squared distance below the cutoff's."""
+    """Energy of two atoms at a squared distance below the squared cutoff."""
     energy = charges / _DIELECTRIC * (1.0 / max(r2, _CLOSEST**2) - 1.0 / _CUTOFF**2)
     if a12 > 0.0:
         end = 1.0 / _CUTOFF**6
@@ -136,7 +136,7 @@ def _felt(r2: float, a12: float, b6: float, charges: float, linear: float) -> fl
 
 @njit(cache=True, error_model="numpy")
 def _table(x: Floats, x_other: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
-    """Energies (n, m) between positions x (n, k, 3) and others (m, l, 3)."""
+    """Energies (n, m) between positions x (n, k, 3) and x_other (m, l, 3)."""
     energies = np.zeros((len(x), len(x_other)))
     for r in range(len(x)):
         for s in range(len(x_other)):

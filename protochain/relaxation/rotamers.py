@@ -1,4 +1,4 @@
-"""Side chains of a structure that can turn, and the dihedrals to try: rotamers, and those of the input."""
+"""Turning side chains of a structure, and their candidate dihedrals: rotamers, and the input's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from protochain.structure.sidechains.rotamers import rotamers
 _MOST_CHI = 4
 """The fifth chi of arginine is planar."""
 _RARITY = 5.0
-"""kJ/mol: of the logarithm of a rotamer's frequency, twice kT."""
+"""kJ/mol: factor of the logarithm of a rotamer's frequency, twice kT."""
 _RAREST = 10.0
-"""Rarity of the input's dihedrals, at most: an outlier is no worse than the rarest rotamers."""
+"""Upper limit of the rarity of the input's dihedrals: outliers cost as much as the rarest rotamers."""
 _STAYING = 10.0
-"""kJ/mol that a turn must gain: what relaxing can mend stays."""
+"""kJ/mol that a turn must gain. Relaxation removes smaller strain."""
 _TURNS = np.deg2rad([0.0, -12.0, 12.0])
-"""About chi1 of a rotamer."""
+"""Turns about chi1 of a rotamer."""
 _STAGGERED, _PLANAR = np.deg2rad([60.0, 180.0, -60.0]), np.deg2rad([0.0, 180.0])
 _POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANAR}
 """Dihedrals of hydroxyl and thiol hydrogens."""
@@ -31,17 +31,17 @@ _POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANA
 
 @dataclass(frozen=True, eq=False)
 class Rotamers:
-    """Positions that the side chain of a residue may take."""
+    """Candidate positions of the side chain of a residue."""
 
     residue: int
-    atoms: Integers  # (k,) int: Atoms that turn.
-    chi: Floats  # (n, n_chi) rad: Dihedrals to try, those of the input first; those of a polar hydrogen last.
-    n_chi: int  # Dihedrals without that of a polar hydrogen.
+    atoms: Integers  # (k,) int: Turning atoms.
+    chi: Floats  # (n, n_chi) rad: Candidate dihedrals, the input's in row 0, a polar hydrogen's in column -1.
+    n_chi: int  # Number of dihedrals without the polar hydrogen's.
     x: Floats  # (n, k, 3) nm.
-    cost: Floats  # (n,) kJ/mol: Of their rarity.
+    cost: Floats  # (n,) kJ/mol: Energy of their rarity.
 
     def repair(self, state: int, residue: residues.Residue) -> Repair:
-        """How it is turned."""
+        """Repair that reports the turn."""
         before, after = np.rint(np.rad2deg(wrapped(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
             return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
@@ -55,7 +55,7 @@ class Rotamers:
 def rotamers_of(
     structure: Structure, x: Floats, residues: Sequence[int], moving: NDArray[np.bool_] | None = None
 ) -> list[Rotamers]:
-    """Rotamers of the side chains that can turn: x (na, 3) nm, moving (na,) bool."""
+    """Rotamers of the turning side chains: x (na, 3) nm, moving (na,) bool."""
     fixed = structure.kept.copy()
     if moving is not None:
         fixed |= ~moving
@@ -71,7 +71,7 @@ def rotamers_of(
 def _of_residue(
     structure: Structure, x: Floats, residue: int, atoms: Sequence[int], fixed: NDArray[np.bool_]
 ) -> Rotamers | None:
-    """Rotamers of a residue; None for one without chi, or bonded to others by its side chain."""
+    """Rotamers of a residue, or None if it has no chi, or its side chain is bonded to others."""
     name = str(structure.residue_name[residue])
     at = {str(structure.atom_name[i]): i for i in atoms if not structure.kept[i]}
     quartets = [*residues.CHI.get(name, ())[:_MOST_CHI]]
@@ -91,7 +91,7 @@ def _of_residue(
     if polar and n_chi < len(quartets):
         chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])
     turned = arm.turned(x, chi)
-    # Those of the input stay bit for bit.
+    # The input's positions are preserved bit for bit.
     turned[0] = x[arm.moved]
     cost = _RARITY * rarity
     cost[0] -= _STAYING
@@ -99,10 +99,10 @@ def _of_residue(
 
 
 def _candidate_dihedrals(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:
-    """Dihedrals (n, n_chi), rad, and rarities (n,): those of now, and rotamers with turns about them."""
+    """Dihedrals (n, n_chi), rad, and rarities (n,) of the input, and of rotamers with turns about them."""
     off = wrapped(library - now)
     if name in residues.SYMMETRIC:
-        # Of the two that are equal, the one nearer to the input.
+        # Of two equivalent dihedrals, use the nearer to the input.
         flipped = wrapped(off[:, -1] + np.pi)
         off[:, -1] = np.where(np.abs(flipped) < np.abs(off[:, -1]), flipped, off[:, -1])
     unlikely = rarity + 0.5 * ((off / WIDTH) ** 2).sum(axis=1)
@@ -111,7 +111,7 @@ def _candidate_dihedrals(name: str, now: Floats, library: Floats, rarity: Floats
 
 
 def _with_hydrogen(chi: Floats, rarity: Floats, now: float, turns: Floats) -> tuple[Floats, Floats]:
-    """With a dihedral of a polar hydrogen: all turns for each, and that of the input for the input's."""
+    """Add a dihedral of a polar hydrogen: the input's to row 0, and all turns to each row."""
     n = len(turns)
     combined = np.column_stack([np.repeat(chi, n, axis=0), np.tile(turns, len(chi))])
     first = np.append(chi[0], now)

@@ -1,4 +1,4 @@
-"""Rounds of a relaxation: minimised under springs to the input, weakened where that does not suffice."""
+"""Rounds of a relaxation: minimisations with springs to the input, which are weakened if problems remain."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -33,24 +33,24 @@ from protochain.structure import Structure
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
-"""Pairs of L-BFGS: while overlaps part, the curvature changes so much that older ones mislead."""
+"""Pairs of L-BFGS. While overlaps separate, the curvature changes so much that older pairs mislead."""
 _REFRESH = 20
 """Iterations between two models of the Hessian."""
 _STIFFER = 60e3
-"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 60
-times 1000 in place of 8 the number of evaluations falls by half."""
+"""kJ/mol/nm^2, added to the model of the Hessian for every atom, because springs make steps short. With 60
+times 1000 instead of 8 the number of evaluations is halved."""
 _STIFFER_NEAR = 10e3
-"""kJ/mol/nm^2, the same for the model from the near terms: a fifth fewer evaluations than with none."""
+"""kJ/mol/nm^2, the same for the model from the near terms. It saves a fifth of the evaluations."""
 _HIGH = 1000.0
-"""kJ/mol/nm, RMS force from which on a rough energy does the first part of the way, several times as fast."""
+"""kJ/mol/nm, RMS force above which a coarse energy is minimised first, several times as fast."""
 
 _WEAKER = 0.1
-"""Share of their springs that residues with violations keep at first; the next time they lose them all.
-Without any at once, more of the fold gives way than has to."""
+"""Factor of the springs of residues with violations after their first round, 0 after the next. Removing all
+springs at once would change more of the fold than necessary."""
 
 
 Note = Callable[[Stage, Evaluation, int], None]
-"""Told each point accepted: its stage, the point, evaluations so far."""
+"""Called with each accepted point: its stage, the point, evaluations so far."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Round:
     Parameters
     ----------
     released : int
-        Residues whose springs were weakened, or taken away.
+        Residues whose springs were weakened or removed.
     violations : int
         Residues with violations at its end.
     overlaps : int
@@ -81,11 +81,11 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class RoundEnd:
-    """Where a round ended."""
+    """End of a round."""
 
-    problems: Problems  # At these positions.
+    problems: Problems  # At the final positions.
     stop: Stop
-    springs: Tethers  # Those of its last stage.
+    springs: Tethers  # Springs of its last stage.
     # (n,) int: Residues with violations, overlaps, threaded rings, inverted centres, twisted peptide bonds.
     concerned: Integers
     round: Round
@@ -98,9 +98,9 @@ class RoundEnd:
 
 @dataclass(frozen=True, eq=False)
 class Relaxer:
-    """What all rounds share."""
+    """Data that all rounds share."""
 
-    structure: Structure  # The input, or that with side chains turned: all springs lead to it.
+    structure: Structure  # The input, with turned side chains: all springs pull to it.
     energy: Energy
     strength: Preset
     max_iterations: int  # Of each minimisation; 0 for no limit.
@@ -109,9 +109,9 @@ class Relaxer:
     user_restraints: tuple[Force, ...] = ()  # Restraints of the user.
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], max_rounds: int) -> list[RoundEnd]:
-        """Minimise from x (na, 3) nm, and with fewer springs while violations or overlaps are left."""
+        """Minimise from x (na, 3) nm, with fewer springs each round while violations or overlaps remain."""
         share, ends = np.where(excluded, 0.0, 1.0), list[RoundEnd]()
-        # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
+        # Weaken springs to wrong positions: they would prevent the turn of a C-beta, or of a peptide bond.
         problems = Problems(self.structure, x)
         turning = self.structure.atom_residue[[*problems.inversions, *problems.reversed_peptides]]
         share[turning] = np.minimum(share[turning], _WEAKER)
@@ -119,7 +119,7 @@ class Relaxer:
         strongest = strengths[-1:]
         while True:
             share = share.copy()
-            # Springs would draw the bonds back.
+            # Springs would pull the bonds back through the rings.
             share[problems.of_rings()] = 0.0
             before = sum(end.round.evaluations for end in ends)
             ends.append(self._round(problems.x, share, strengths, before, bool(problems.rings)))
@@ -127,21 +127,21 @@ class Relaxer:
             problems = last.problems
             if not len(last.concerned) or len(ends) == max_rounds:
                 return ends
-            # As weak as springs in series: those of other programs lead to the end of the round before.
+            # As weak as springs in series: in other programs, springs pull to the end of the previous round.
             strengths = [(main / (len(ends) + 1), side / (len(ends) + 1)) for main, side in strongest]
-            less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
-            # Where that did not help, what lies against them is in the way.
-            still_wrong = last.concerned[share[last.concerned] < 1.0]
-            less[self._touching(still_wrong, problems.x) & (less == 1.0)] = _WEAKER
-            still = last.stop in _FINAL or not any(strengths[0])
-            if still or (less == share).all():
+            weaker = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
+            # If that did not help, residues in contact are in the way.
+            persistent = last.concerned[share[last.concerned] < 1.0]
+            weaker[self._touching(persistent, problems.x) & (weaker == 1.0)] = _WEAKER
+            is_final = last.stop in _FINAL or not any(strengths[0])
+            if is_final or (weaker == share).all():
                 return ends
-            share = less
+            share = weaker
 
     def _round(
         self, x: Floats, share: Floats, strengths: Sequence[tuple[float, float]], before: int, threaded: bool
     ) -> RoundEnd:
-        """Free rings, if bonds go through any, walk through the stages, and look at what is left."""
+        """Unthread rings if necessary, run the stages, and find the remaining problems."""
         began, structure, freed = perf_counter(), self.structure, 0
         springs = [self._springs(share, *strength) for strength in strengths]
         plan = [*(self._first_stages(springs[0]) if not before else []), *self._correction_stages(springs[0])]
@@ -165,13 +165,13 @@ class Relaxer:
         return RoundEnd(problems, outcome.stop, _tethers(outcome.restraint), np.flatnonzero(concerned), entry)
 
     def _walk_stages(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
-        """Walk through stages from x, within the iterations allowed."""
+        """Run stages from x, within the allowed iterations."""
         n_points, begun = 0, set[Stage | None]()
 
         def record(at: Evaluation, stage: Stage, n_evaluations: int) -> None:
             nonlocal n_points
             n_points += 1
-            # Of hundreds of rings none may come free: there the first point of a stage counts, too.
+            # First points of stages are free, except in unthreading: hundreds of rings may all stay threaded.
             begun.add(None if stage.restraint is None else stage)
             self.note(stage, at, before + n_evaluations)
             if 0 < self.max_iterations <= n_points - len(begun):
@@ -183,7 +183,7 @@ class Relaxer:
         return outcome
 
     def _first_stages(self, springs: Tethers) -> list[Stage]:
-        """Stages from whose end the force field takes over, each where it is needed."""
+        """Stages before the force field, each of which runs only if it is needed."""
         stages, bonded = [], bonded_part(self.energy) if self.strength.softened else None
         for share, stiffness in self.strength.softened:
             if bonded is not None:
@@ -203,8 +203,8 @@ class Relaxer:
     def _correction_stages(self, springs: Tethers) -> list[Stage]:
         """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, if there are any.
 
-        Bonds that are only twisted are turned by the stages that follow. One goes on where a centre of a
-        ligand or sugar is half turned: the mean force of a large protein does not tell.
+        The later stages turn bonds that are only twisted. Another stage finishes half-turned centres of
+        ligands and sugars, which the mean force of a large protein does not detect.
         """
         stage = self._preparatory_stage(getattr(self.energy, "coarse", self.energy), springs)
         stages = [
@@ -224,7 +224,7 @@ class Relaxer:
         return stages
 
     def _preparatory_stage(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
-        """Stage whose energy is not the force field's, whose end is no result, and which may fail."""
+        """Preparatory stage on another energy, which may fail and whose end is never the result."""
         tolerance, patience = (20.0, 60) if is_soft else (30.0, PATIENCE)
         return Stage(
             self._space, self._method(springs, is_soft), energy, tolerance,
@@ -233,7 +233,7 @@ class Relaxer:
         )  # fmt: skip
 
     def _force_field_stages(self, springs: Tethers) -> list[Stage]:
-        """Stage on the force field, and one on its reference if that is another engine."""
+        """Stage on the force field, and a stage on its reference if that is another engine."""
         return with_reference(
             Stage(
                 self._space, self._method(springs), self.energy, self.strength.tolerance,
@@ -252,13 +252,13 @@ class Relaxer:
 
     @cached_property
     def shapes(self) -> Sum:
-        """Restraints on chiral atoms, and on planar ones towards the middle of their neighbours."""
+        """Restraints of chiral atoms, and of planar atoms to the centre of their neighbours."""
         return Sum([self.chirality, Planes.of(self.structure)])
 
     def restraint(self, springs: Tethers) -> Force:
-        """What holds the last stage of a round, of whose minimum it is part.
+        """Restraint of the last stage of a round, which is part of its minimum.
 
-        Springs to a bad model twist peptide bonds; the push to their form makes up for it, while they act.
+        Springs to a bad model twist peptide bonds. While springs act, the restraint of peptides compensates.
         """
         pushed = springs.weight.any() and self.strength.planar
         additional: list[Force] = [*([self.peptides] if pushed else ()), *self.user_restraints]
@@ -266,26 +266,26 @@ class Relaxer:
 
     @cached_property
     def peptides(self) -> PeptideBonds:
-        """Push of peptide bonds to trans or cis."""
+        """Restraint of peptide bonds to trans or cis."""
         return PeptideBonds.of(self.structure)
 
     @cached_property
     def chirality(self) -> ChiralityRestraint:
-        """Push of chiral atoms to the configurations that they should have."""
+        """Restraint of chiral atoms to their target configurations."""
         return ChiralityRestraint.of(self.structure)
 
     @cached_property
     def _mobile(self) -> NDArray[np.bool_]:
-        """(na,) bool: atoms that may move."""
+        """(na,) bool: moving atoms."""
         return ~self.structure.obstacle if self.moving is None else self.moving
 
     @cached_property
     def _space(self) -> Cartesian:
-        """Atoms that may move, with the springs of their bonds."""
+        """Coordinates of the moving atoms, with the springs of their bonds."""
         return Cartesian(self.structure, self._mobile, near_terms(self.energy))
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
-        """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
+        """Springs of the heavy atoms, with strengths scaled by the share of each residue (nr,)."""
         structure = self.structure
         weight = np.where(np.isin(structure.atom_name, _BACKBONE), backbone, side_chains)
         without = (structure.atom_element == "H") | ~self._mobile
@@ -293,14 +293,14 @@ class Relaxer:
         return Tethers(structure.positions, np.where(without, 0.0, weight))
 
     def _near(self, residues: Integers) -> NDArray[np.bool_]:
-        """(nr,) bool: residues, and those bonded to them: neighbours in sequence, and by disulfides."""
+        """(nr,) bool: residues, and their neighbours by bonds: in sequence, and by disulfides."""
         ends = both_ways(self.structure.atom_residue[self.structure.bonds])
         near = np.zeros(self.structure.n_residues, dtype=bool)
         near[residues] = near[ends[np.isin(ends[:, 0], residues), 1]] = True
         return near
 
     def _touching(self, residues: Integers, x: Floats) -> NDArray[np.bool_]:
-        """(nr,) bool: residues with atoms in contact with others."""
+        """(nr,) bool: residues in contact with the given residues, themselves included."""
         pairs = self.structure.atom_residue[near_pairs(self.structure, x, 1.0)[0]]
         touching = np.zeros(self.structure.n_residues, dtype=bool)
         touching[pairs[np.isin(pairs, residues).any(axis=1)]] = True
@@ -321,5 +321,5 @@ def _tethers(restraint: Force | None) -> Tethers:
 
 
 def best_round(ends: Sequence[RoundEnd]) -> RoundEnd:
-    """Round after which the fewest residues have violations or overlaps, the first of equals."""
+    """Round after which the fewest residues have problems, the first of equals."""
     return min(ends, key=lambda end: len(end.concerned))
