@@ -12,7 +12,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import templates
 from protochain.structure.preparation.contacts import Spheres, score
-from protochain.structure.preparation.flips import settled
+from protochain.structure.preparation.flips import choose_flips
 from protochain.structure.sidechains.assignment import eliminated
 
 KNOWN = templates()
@@ -38,7 +38,7 @@ METAL = ("ZN", "ZN")
 
 def chosen(member: Member, *others: Member) -> tuple[str, bool]:
     of = [(member, None), *((each, KNOWN[each.name]) for each in others)]
-    states, turned = settled(of)
+    states, turned = choose_flips(of)
     return states[id(member)], bool(turned)
 
 
@@ -85,7 +85,7 @@ def test_of_two_histidines_the_second_meets_the_first_as_it_is():
     for a in second.atoms:
         a.pos = gemmi.Position(*(2 * (at + 1.45 * out) - a.pos.tolist()))
     giver = before(first, "ND1", *GIVES)
-    states, turned = settled([(first, None), (second, None), (giver, KNOWN["ALA"])])
+    states, turned = choose_flips([(first, None), (second, None), (giver, KNOWN["ALA"])])
     assert [states[id(each)] for each in (first, second)] == ["HIE", "HID"] and not turned
 
 
@@ -223,12 +223,12 @@ def of_dots(ends, stem, near):
             nearest, is_bond = np.inf, False
             for x, r, gives, takes, turns in zip(*near, strict=True):
                 to = ends.x[k] - x
-                if turns and ends.takes[k]:
+                if turns and ends.acceptor[k]:
                     x, r = x + to / np.linalg.norm(to), 1.05
                 gap = np.linalg.norm(dot - x) - r
                 if gap < nearest:
                     nearest = gap
-                    is_bond = (ends.gives[k] and takes) or (ends.takes[k] and (gives or turns))
+                    is_bond = (ends.donor[k] and takes) or (ends.acceptor[k] and (gives or turns))
             if 0 < nearest < 0.5:
                 total += np.exp(-((nearest / 0.25) ** 2))
             elif nearest <= 0 and is_bond:

@@ -21,7 +21,7 @@ RADII = {"C": 1.70, "N": 1.55, "O": 1.40, "S": 1.80, "P": 1.80, "F": 1.30, "Cl":
 CARBONYL, POLAR, OTHER, METAL = 1.65, 1.05, 1.22, 1.0
 """Angstrom: radii of C=O carbons, hydrogens of nitrogen and aromatic rings, other hydrogens, metals."""
 _DENSITY, _WIDTH, _BUMP, _BOND, _DEEPEST, _FARTHEST = 16.0, 0.25, 5.0, 2.0, 0.6, 0.5
-"""Dots a square angstrom, width of a contact, weights, and limits of a hydrogen bond and a gap, angstrom."""
+"""Dots per square angstrom, width of a contact, weights, limits of a hydrogen bond and of a gap, angstrom."""
 _BONDED = 1.9
 _COVERED = 2.7
 """Angstrom: atoms of the side chain nearer than this to one another cover dots."""
@@ -33,19 +33,19 @@ class Spheres(NamedTuple):
 
     x: Floats  # (n, 3) angstrom.
     radius: Floats  # (n,) angstrom.
-    gives: np.ndarray  # (n,) bool: Whether it is a hydrogen that gives a bond, or a metal.
-    takes: np.ndarray  # (n,) bool: Whether it takes a hydrogen bond.
-    turns: np.ndarray  # (n,) bool: Whether its hydrogens turn to an acceptor.
+    donor: np.ndarray  # (n,) bool: Whether it is a polar hydrogen or a metal.
+    acceptor: np.ndarray  # (n,) bool: Whether it accepts a hydrogen bond.
+    rotor: np.ndarray  # (n,) bool: Whether its hydrogens turn to an acceptor.
 
-    def subset(self, some: Any) -> "Spheres":
+    def subset(self, index: Any) -> "Spheres":
         """Return the spheres of an index."""
-        return Spheres(*(column[some] for column in self))
+        return Spheres(*(column[index] for column in self))
 
 
 def surroundings(
     residues: Sequence[tuple[Member, Template | None]], ends: Mapping[int, Collection[str]]
 ) -> tuple[Spheres, np.ndarray]:
-    """Atoms without the ends of the sites, with hydrogens by geometry, and the identity of each residue."""
+    """Return the atoms outside the ends, with hydrogens by geometry, and the ``id`` of their residues."""
     heavy = [(a, m, _HISTIDINE if t is None else t.hydrogens) for m, t in residues for a in m.heavy]
     x, elements = [a.pos.tolist() for a, *_ in heavy], [a.element.name for a, *_ in heavy]
     bonds = KDTree(x).query_pairs(_BONDED, output_type="ndarray")
@@ -57,43 +57,43 @@ def surroundings(
     for k, (a, m, hydrogens) in enumerate(heavy):
         element, n = a.element.name, len(hydrogens.get(a.name, ()))
         is_end = a.name in ends.get(id(m), ())
-        turns = n > 0 and (element in "OS" or (element == "N" and (n == 3 or not near[k])))
-        takes = element in "OS" or (element == "N" and n == 0 and len(near[k]) == 2)
+        rotor = n > 0 and (element in "OS" or (element == "N" and (n == 3 or not near[k])))
+        acceptor = element in "OS" or (element == "N" and n == 0 and len(near[k]) == 2)
         radius = RADII.get(element, RADII["S"])
         if element == "C" and any(elements[j] == "O" for j in near[k]):
             radius = CARBONYL
         is_metal = a.element.is_metal
-        rows.append((METAL if is_metal else radius, is_metal, takes, turns, id(m), not is_end))
-        parents += [k] * n * (bool(near[k]) and not is_end and not turns)
+        rows.append((METAL if is_metal else radius, is_metal, acceptor, rotor, id(m), not is_end))
+        parents += [k] * n * (bool(near[k]) and not is_end and not rotor)
     for k in parents:
         is_polar = elements[k] == "N"
         rows.append((POLAR if is_polar else OTHER, is_polar, False, False, rows[k][4], True))
     bonds = np.concatenate([bonds, np.column_stack([parents, len(heavy) + np.arange(len(parents))])])
     start = 0.1 * np.concatenate([x, np.full((len(parents), 3), np.nan)])
     placed = place_hydrogens(start, elements + ["H"] * len(parents), np.zeros(len(start)), bonds.astype(int))
-    *columns, owner, counts = (np.array(column) for column in zip(*rows, strict=True))
-    some = counts & np.isfinite(placed[:, 0])
-    return Spheres(10.0 * placed, *columns).subset(some), owner[some]
+    *columns, owner, is_outside = (np.array(column) for column in zip(*rows, strict=True))
+    is_used = is_outside & np.isfinite(placed[:, 0])
+    return Spheres(10.0 * placed, *columns).subset(is_used), owner[is_used]
 
 
 def score(ends: Spheres, stem: Floats, near: Spheres) -> float:
-    """Contact score of the ends of a side chain, whose other atoms (n, 3), angstrom, cover dots."""
+    """Return the contact score of the ends of a side chain. Its stem atoms (n, 3), angstrom, cover dots."""
     total = 0.0
     x, r = np.concatenate([ends.x, stem]), np.concatenate([ends.radius, np.full(len(stem), 1.6)])
     for k, radius in enumerate(ends.radius.tolist()):
         dots = ends.x[k] + radius * _directions(radius)
-        apart = np.linalg.norm(x - ends.x[k], axis=1)
-        covers = (apart < _COVERED) & (np.arange(len(x)) != k)
+        distance = np.linalg.norm(x - ends.x[k], axis=1)
+        covers = (distance < _COVERED) & (np.arange(len(x)) != k)
         dots = dots[(np.linalg.norm(dots[:, None] - x[covers], axis=2) > r[covers]).all(axis=1)]
-        way = ends.x[k] - near.x
-        length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
-        turned = near.turns & ends.takes[k]
+        vector = ends.x[k] - near.x
+        length = np.maximum(np.linalg.norm(vector, axis=1), 1e-9)
+        turned = near.rotor & ends.acceptor[k]
         reached = length - near.radius - turned < radius + _FARTHEST
         if not len(dots) or not reached.any():
             continue
-        centre = (near.x + turned[:, None] * way / length[:, None])[reached]
+        centre = (near.x + turned[:, None] * vector / length[:, None])[reached]
         gaps = np.linalg.norm(dots[:, None] - centre, axis=2) - np.where(turned, POLAR, near.radius)[reached]
-        bonds = (ends.gives[k] & near.takes | ends.takes[k] & (near.gives | turned))[reached]
+        bonds = (ends.donor[k] & near.acceptor | ends.acceptor[k] & (near.donor | turned))[reached]
         gap, bond = gaps.min(axis=1), bonds[gaps.argmin(axis=1)]
         overlap = np.maximum(-gap, 0.0)
         within = np.where(bond, np.minimum(overlap, _DEEPEST), 0.0)

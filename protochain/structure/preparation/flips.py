@@ -1,8 +1,8 @@
 """Flips of Asn, Gln and His, and tautomers of His, by one network of hydrogen bonds.
 
-Density does not distinguish the two ways in which an amide or a histidine ring lies. All sites are chosen
-together by hydrogen bonds and by contacts with the other atoms, as by Reduce (Word, Lovell, Richardson,
-Richardson, J. Mol. Biol. 285:1735, 1999).
+Density does not distinguish the two orientations of an amide or a histidine ring. All sites are chosen
+together by hydrogen bonds and contacts, as by Reduce (Word, Lovell, Richardson, Richardson, J. Mol. Biol.
+285:1735, 1999).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,147 +21,147 @@ from protochain.structure.preparation.contacts import POLAR, RADII, Spheres, sco
 _HYDROGEN_BOND = 3.5
 """Angstrom, donor to acceptor, as in OpenMM's Modeller."""
 _FULL, _FARTHEST = 3.2, 3.7
-"""Angstrom: up to the first a hydrogen bond of an amide counts fully, from the second on not at all."""
+"""Angstrom: a hydrogen bond of an amide counts fully up to the first, and not at all from the second."""
 _REACH, _PAIR = 6.0, 8.5
-"""Angstrom: ends are 2.4 from the pivot at most, and hydrogen bonds 3.7 long. From a pivot, and of two."""
+"""Angstrom: search radii around a pivot, and between two. Ends are within 2.4 of it, bonds within 3.7."""
 _BONDED = 1.9
 """Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
 _UPON = 1e-9
 """Angstrom: least length of a direction."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
 _BENT = np.deg2rad(115.0)
-"""Angle at a donor with one neighbour, between that and the acceptor."""
+"""Rad: angle at a donor between its only neighbour and the acceptor."""
 _LEAST_DIRECTED, _LEAST_IN_FRONT = 0.5, -0.2
-"""Cosines: of a donor's hydrogen to the acceptor, and of the acceptor's bond to the donor."""
+"""Least cosines: of a donor's hydrogen with the acceptor, and of the acceptor's bond with the donor."""
 _METAL = 2.0
-"""What a metal counts at an oxygen or nitrogen of an amide, in hydrogen bonds."""
+"""Weight of a metal near an oxygen or nitrogen of an amide, in hydrogen bonds."""
 _RING = {"ND1": ("CG", "CE1"), "NE2": ("CD2", "CE1"), "CD2": ("CG", "NE2"), "CE1": ("ND1", "NE2")}
-"""Atoms that have a hydrogen or a pair of electrons, and their neighbours."""
+"""Ring atoms that have a hydrogen or a lone pair, and their neighbours."""
 _CARBON = 3.0
-"""Angstrom: a carbon of the ring is not as near to an oxygen or nitrogen."""
+"""Angstrom: a ring carbon nearer than this to an oxygen or nitrogen is penalised."""
 _AXIS = {"HIS": ("CB", "CG"), "ASN": ("CB", "CG"), "GLN": ("CG", "CD")}
 _TURNING = {
     "HIS": ("ND1", "CD2", "CE1", "NE2", "HD2", "HE1"), "ASN": ("OD1", "ND2"), "GLN": ("OE1", "NE2"),
 }  # fmt: skip
-"""Atoms beyond the axis; of amides the oxygen first."""
+"""Atoms beyond the axis. The oxygen of an amide comes first."""
 TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
-"""The nitrogen that has the hydrogen; of equal ones the first is taken."""
+"""The nitrogen that has the hydrogen. The first of two equal tautomers is chosen."""
 _TURNABLE = 0.75
-"""What the bond of a hydroxyl or water to a nitrogen counts, which may turn elsewhere."""
+"""Weight of a bond of a hydroxyl or water to a nitrogen, because the hydroxyl may turn elsewhere."""
 _CONTACTS, _CONTACT_REACH = 1.5, 8.0
-"""Hydrogen bonds for a unit of the contact score, and angstrom from a pivot to atoms that touch its ends."""
+"""Hydrogen bonds per unit of the contact score, and angstrom from a pivot to atoms that touch its ends."""
 _WRONG, _PRIOR, _SCALE = 0.1, 4.0, 1.25
-"""Usual share of sites that a file has the wrong way round, how many sites it counts as, and hydrogen bonds
-for each factor e in the odds. Word et al. find 20 % of amides wrong. To be turned, a site must gain 2.7, and
-less if others are wrong, too."""
+"""Prior share of wrong orientations in a file, its weight in sites, and hydrogen bonds per factor e in the
+odds. Word et al. find 20 % of amides wrong. A site is flipped for a gain of 2.7, or less if other sites are
+wrong."""
 _SPARED = 1
-"""Likeliest mistakes that say nothing of the other sites."""
+"""Number of the likeliest errors that the estimate of the share ignores."""
 _ROUNDS = 12
-"""Estimates of that share, by expectation and maximisation."""
+"""Iterations of the estimate, by expectation and maximisation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polar:
-    """An oxygen, nitrogen or metal, and whether it gives a hydrogen, or a metal's charge, and takes one."""
+    """An oxygen, nitrogen or metal as a donor and acceptor of hydrogen bonds. A metal is a donor."""
 
     x: Floats  # (3,) angstrom.
-    gives: bool
-    takes: bool
+    is_donor: bool
+    is_acceptor: bool
     bonded: Floats  # (n, 3) angstrom: heavy atoms bonded to it.
     is_metal: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A way in which a site may be."""
+    """An orientation of a site, with its tautomer."""
 
-    tautomer: str  # Of histidine; empty of amides.
+    tautomer: str  # Of a histidine. Empty for an amide.
     turned: bool
-    at: Mapping[str, Floats]  # Places of the residue's atoms, angstrom.
-    polar: tuple[Polar, ...]  # The oxygen and nitrogens that it decides on.
+    at: Mapping[str, Floats]  # Positions of the residue's atoms, angstrom.
+    polar: tuple[Polar, ...]  # The oxygen and nitrogens that it moves.
 
     def energy(self, near: Iterable[Polar]) -> float:
-        """Energy beside polar atoms: -1 for a hydrogen bond, 1 for two donors or acceptors together."""
+        """Return the energy near polar atoms: -1 per hydrogen bond, 1 per pair of donors or of acceptors."""
         if not self.tautomer:
             oxygen, nitrogen = self.polar
             return _amide_energy(oxygen, nitrogen, near)
         near = [*near]
-        return sum(_energy(near, self.at, name, name == TAUTOMERS[self.tautomer]) for name in _RING)
+        return sum(_ring_energy(near, self.at, name, name == TAUTOMERS[self.tautomer]) for name in _RING)
 
 
-def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str], set[int]]:
-    """Choose tautomers and flips with the best hydrogen bonds; side chains are turned in place."""
-    residues = [*of]
+def choose_flips(templated: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str], set[int]]:
+    """Choose tautomers and flips by hydrogen bonds and contacts, and flip the side chains in place."""
+    residues = [*templated]
     sites = [member for member, template in residues if template is None or _is_free_amide(member)]
     if not sites:
         return {}, set()
     states = [_states(member) for member in sites]
     ends = {id(member): _TURNING[member.name] for member in sites}
-    fixed, owners = _fixed(residues, ends)
+    fixed, owners = _fixed_polar_atoms(residues, ends)
     atoms, residue_of = surroundings(residues, ends)
-    tree = KDTree([each.x for each in fixed]) if fixed else None
+    tree = KDTree([atom.x for atom in fixed]) if fixed else None
     pivots = np.array([state[0].at[_AXIS[m.name][1]] for m, state in zip(sites, states, strict=True)])
     around = KDTree(atoms.x).query_ball_point(pivots, _CONTACT_REACH)
-    own = []
+    energies = []
     for member, pivot, choices, touched in zip(sites, pivots, states, around, strict=True):
-        # The backbone of an amide itself counts, that of a histidine does not.
+        # An amide's own backbone counts, a histidine's does not.
         reached = tree.query_ball_point(pivot, _REACH) if tree else []
-        beside = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
+        polar = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
         atoms_near = atoms.subset([k for k in touched if residue_of[k] != id(member)])
         contacts = [score(*_surface(member.name, state), atoms_near) for state in choices]
-        own.append(np.array([state.energy(beside) for state in choices]) - _CONTACTS * np.array(contacts))
+        energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACTS * np.array(contacts))
     near = sorted(KDTree(pivots).query_pairs(_PAIR))
-    tables = {(i, j): np.array([[_between(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
+    tables = {(i, j): np.array([[_pair_energy(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
     pairs = {ends: table for ends, table in tables.items() if table.any()}
-    chosen = _chosen(own, pairs, [np.array([state.turned for state in choices]) for choices in states])
-    found, turned = dict[int, str](), set[int]()
+    chosen = _choose_states(energies, pairs, [np.array([s.turned for s in choices]) for choices in states])
+    tautomers, turned = dict[int, str](), set[int]()
     for member, choices, k in zip(sites, states, chosen.tolist(), strict=True):
         if choices[k].tautomer:
-            found[id(member)] = choices[k].tautomer
+            tautomers[id(member)] = choices[k].tautomer
         if choices[k].turned:
             turned.add(id(member))
             for a in member.atoms:
                 a.pos = gemmi.Position(*choices[k].at[a.name])
-    return found, turned
+    return tautomers, turned
 
 
-def _between(one: State, other: State) -> float:
-    """Energy of two sites, as either of them sees it, on average."""
-    return 0.5 * (one.energy(other.polar) + other.energy(one.polar))
+def _pair_energy(first: State, second: State) -> float:
+    """Return the mean of the energies of two sites, each near the other."""
+    return 0.5 * (first.energy(second.polar) + second.energy(first.polar))
 
 
-def _chosen(
-    own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], turned: Sequence[np.ndarray]
+def _choose_states(
+    energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], turned: Sequence[np.ndarray]
 ) -> Integers:
-    """States (n,) of lowest energy, in which a turn costs what the share of wrong sites says."""
+    """Return the states (n,) of lowest energy. The share of wrong sites sets the cost of a flip."""
     # Imported here: it imports numba, which would slow every start of the program.
     from protochain.structure.sidechains.assignment import eliminated
 
-    wrong = _WRONG
+    share = _WRONG
     for _ in range(_ROUNDS):
-        cost = _SCALE * float(np.log((1.0 - wrong) / wrong))
-        states = eliminated([each + cost * its for each, its in zip(own, turned, strict=True)], pairs)
-        gains = _gains(own, pairs, turned, states)
-        likely = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
-        others = np.sort(likely)[:-_SPARED]
-        wrong = min(0.5, (_WRONG * _PRIOR + float(others.sum())) / (_PRIOR + len(others)))
+        cost = _SCALE * float(np.log((1.0 - share) / share))
+        states = eliminated([e + cost * flip for e, flip in zip(energies, turned, strict=True)], pairs)
+        gains = _gains(energies, pairs, turned, states)
+        probability = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
+        counted = np.sort(probability)[:-_SPARED]
+        share = min(0.5, (_WRONG * _PRIOR + float(counted.sum())) / (_PRIOR + len(counted)))
     return states
 
 
 def _gains(
-    own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
+    energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
     turned: Sequence[np.ndarray], states: Integers,
 ) -> Floats:  # fmt: skip
-    """(n,): what each site gains by a turn, with the others as they are."""
-    beside = [each.copy() for each in own]
+    """Return the energy (n,) that each site gains by a flip if the other sites stay."""
+    totals = [energy.copy() for energy in energies]
     for (i, j), table in pairs.items():
-        beside[i] += table[:, states[j]]
-        beside[j] += table[states[i]]
-    return np.array([e[~its].min() - e[its].min() for e, its in zip(beside, turned, strict=True)])
+        totals[i] += table[:, states[j]]
+        totals[j] += table[states[i]]
+    return np.array([e[~flip].min() - e[flip].min() for e, flip in zip(totals, turned, strict=True)])
 
 
 def _is_free_amide(member: Member) -> bool:
-    """Whether it is an amide of the file that shows no hydrogens, and is bonded to nothing else."""
+    """Whether a residue is an amide, complete in the file, without hydrogens or links at its end."""
     names = _TURNING.get(member.name, ())
     ends = [a for a in member.atoms if a.name in (*names, *_AXIS.get(member.name, ()))]
     if len(names) != 2 or len(ends) != 4 or member.template is not None:
@@ -174,85 +174,85 @@ def _is_free_amide(member: Member) -> bool:
 
 
 def _states(member: Member) -> list[State]:
-    """States of a site, the one of the file first."""
+    """Return the states of a site, the file's state first."""
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     start, pivot = _AXIS[member.name]
     axis = (at[pivot] - at[start]) / max(float(np.linalg.norm(at[pivot] - at[start])), _UPON)
     arms = {name: at[name] - at[pivot] for name in at.keys() & {*_TURNING[member.name]}}
-    over = {**at, **{name: at[pivot] + 2.0 * (arm @ axis) * axis - arm for name, arm in arms.items()}}
-    made = []
-    for turned, its in ((False, at), (True, over)):
+    flipped = {**at, **{name: at[pivot] + 2.0 * (arm @ axis) * axis - arm for name, arm in arms.items()}}
+    states = []
+    for turned, x in ((False, at), (True, flipped)):
         if member.name == "HIS":
-            for tautomer, gives in TAUTOMERS.items():
-                polar = [Polar(its[n], n == gives, n != gives, _of_ring(its, n)) for n in TAUTOMERS.values()]
-                made.append(State(tautomer, turned, its, tuple(polar)))
+            for tautomer, donor in TAUTOMERS.items():
+                polar = [Polar(x[n], n == donor, n != donor, _neighbours(x, n)) for n in TAUTOMERS.values()]
+                states.append(State(tautomer, turned, x, tuple(polar)))
         else:
             oxygen, nitrogen = _TURNING[member.name]
-            near = np.array([its[pivot], its[start]])
-            ends = Polar(its[oxygen], False, True, near), Polar(its[nitrogen], True, False, near)
-            made.append(State("", turned, its, ends))
-    return made
+            near = np.array([x[pivot], x[start]])
+            ends = Polar(x[oxygen], False, True, near), Polar(x[nitrogen], True, False, near)
+            states.append(State("", turned, x, ends))
+    return states
 
 
-def _of_ring(at: Mapping[str, Floats], name: str) -> Floats:
-    return np.array([at[each] for each in _RING[name]])
+def _neighbours(at: Mapping[str, Floats], name: str) -> Floats:
+    return np.array([at[neighbour] for neighbour in _RING[name]])
 
 
-def _fixed(
+def _fixed_polar_atoms(
     residues: Sequence[tuple[Member, Template | None]], deciding: Mapping[int, Sequence[str]]
 ) -> tuple[list[Polar], list[Member]]:
-    """Polar atoms that no site decides on, and their residues."""
+    """Return the polar atoms that no site moves, and their residues."""
     heavy = [(a, m, template) for m, template in residues for a in m.heavy]
     x = np.array([a.pos.tolist() for a, _, _ in heavy])
     tree = KDTree(x)
-    chosen = [
+    indices = [
         k
         for k, (a, member, _) in enumerate(heavy)
         if (a.element.name in ("N", "O") or a.element.is_metal) and a.name not in deciding.get(id(member), ())
     ]
     polar = list[Polar]()
-    for k, near in zip(chosen, tree.query_ball_point(x[chosen], _BONDED) if chosen else (), strict=True):
+    for k, near in zip(indices, tree.query_ball_point(x[indices], _BONDED) if indices else (), strict=True):
         a, _, template = heavy[k]
         bonded = x[[j for j in near if j != k]]
-        polar.append(Polar(x[k], *_role(a, template), bonded, a.element.is_metal))
-    return polar, [heavy[k][1] for k in chosen]
+        polar.append(Polar(x[k], *_hydrogen_bonding(a, template), bonded, a.element.is_metal))
+    return polar, [heavy[k][1] for k in indices]
 
 
 def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> float:
-    """Energy of an amide: bonds that its oxygen takes and its nitrogen gives, and what lies against them."""
+    """Return the energy of an amide: its hydrogen bonds, metals, and pairs of donors or of acceptors."""
     energy = 0.0
     out = {end: end.x - end.bonded[0] for end in (oxygen, nitrogen)}
-    for each in near:
-        if each.gives and each.takes:
-            # A hydroxyl or water is as well beside either.
+    for atom in near:
+        if atom.is_donor and atom.is_acceptor:
+            # A hydroxyl or water fits either end.
             continue
         for end in (oxygen, nitrogen):
-            way = each.x - end.x
+            vector = atom.x - end.x
             # Atoms of poor models coincide.
-            length = max(float(np.linalg.norm(way)), _UPON)
+            length = max(float(np.linalg.norm(vector)), _UPON)
             share = min(1.0, (_FARTHEST - length) / (_FARTHEST - _FULL))
             if share <= 0.0:
                 continue
-            if each.is_metal:
-                energy += _METAL * share * (1.0 if end.gives else -1.0)
-            elif each.gives == end.gives:
+            if atom.is_metal:
+                energy += _METAL * share * (1.0 if end.is_donor else -1.0)
+            elif atom.is_donor == end.is_donor:
                 energy += share
-            elif end.gives:
-                directed = _of_amine(end, way / length)
+            elif end.is_donor:
+                directed = _amine_cosine(end, vector / length)
                 energy -= share * directed * (directed > _LEAST_DIRECTED)
-            elif out[end] @ way > _LEAST_IN_FRONT * length * np.linalg.norm(out[end]):
-                directed = _directed(each, -way / length)
+            elif out[end] @ vector > _LEAST_IN_FRONT * length * np.linalg.norm(out[end]):
+                directed = _donor_cosine(atom, -vector / length)
                 energy -= share * directed * (directed > _LEAST_DIRECTED)
     return energy
 
 
-def _of_amine(nitrogen: Polar, way: Floats) -> float:
-    """Cosine between a direction and the nearer of the two N-H bonds of an amide."""
-    return max(float(direction @ way) for direction in _amine(nitrogen))
+def _amine_cosine(nitrogen: Polar, way: Floats) -> float:
+    """Return the cosine between a direction and the nearer N-H bond of an amide."""
+    return max(float(direction @ way) for direction in _amine_directions(nitrogen))
 
 
-def _amine(nitrogen: Polar) -> list[Floats]:
-    """Directions (3,) of the two N-H bonds of an amide."""
+def _amine_directions(nitrogen: Polar) -> list[Floats]:
+    """Return the directions (3,) of the two N-H bonds of an amide."""
     pivot, start = nitrogen.bonded
     out = (nitrogen.x - pivot) / max(float(np.linalg.norm(nitrogen.x - pivot)), _UPON)
     aside = cross(out, cross(out, start - pivot))
@@ -261,12 +261,12 @@ def _amine(nitrogen: Polar) -> list[Floats]:
 
 
 def _surface(name: str, state: State) -> tuple[Spheres, Floats]:
-    """Atoms beyond the axis with their hydrogens, and the other atoms (n, 3) of the side chain."""
+    """Return the atoms beyond the axis with their hydrogens, and the other side-chain atoms (n, 3)."""
     at = state.at
     if name != "HIS":
         oxygen, nitrogen = state.polar
         rows = [(oxygen.x, RADII["O"], False, True), (nitrogen.x, RADII["N"], False, False)]
-        rows += [(nitrogen.x + 1.01 * way, POLAR, True, False) for way in _amine(nitrogen)]
+        rows += [(nitrogen.x + 1.01 * way, POLAR, True, False) for way in _amine_directions(nitrogen)]
     else:
         rows = []
         for atom, (first, second) in _RING.items():
@@ -276,44 +276,44 @@ def _surface(name: str, state: State) -> tuple[Spheres, Floats]:
                 out = 2.0 * at[atom] - at[first] - at[second]
                 out = out / max(float(np.linalg.norm(out)), _UPON)
                 rows.append((at[atom] + (1.08 if is_carbon else 1.01) * out, POLAR, not is_carbon, False))
-    x, radius, gives, takes = (np.array(column) for column in zip(*rows, strict=True))
+    x, radius, is_donor, is_acceptor = (np.array(column) for column in zip(*rows, strict=True))
     stem = [at[atom] for atom in ("CA", "CB", "CG", "CD") if atom in at and atom not in _TURNING[name]]
-    return Spheres(x, radius, gives, takes, np.zeros(len(x), dtype=bool)), np.array(stem)
+    return Spheres(x, radius, is_donor, is_acceptor, np.zeros(len(x), dtype=bool)), np.array(stem)
 
 
-def _directed(donor: Polar, way: Floats) -> float:
-    """Cosine between a direction and the hydrogen that a donor turns there; 1 if nothing is bonded to it."""
-    arms = [each / max(float(np.linalg.norm(each)), _UPON) for each in donor.bonded - donor.x]
+def _donor_cosine(donor: Polar, way: Floats) -> float:
+    """Return the cosine between a direction and a donor's nearest hydrogen, or 1 if it has no bonds."""
+    arms = [bond / max(float(np.linalg.norm(bond)), _UPON) for bond in donor.bonded - donor.x]
     if len(arms) == 1:
         return float(np.cos(np.arccos(np.clip(arms[0] @ way, -1.0, 1.0)) - _BENT))
     out = -np.sum(arms, axis=0)
     return float(out @ way / max(np.linalg.norm(out), _UPON)) if arms else 1.0
 
 
-def _energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydrogen: bool) -> float:
-    """-1 for each hydrogen bond of a nitrogen, 1 for a carbon, or a second hydrogen or pair, in its place."""
+def _ring_energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydrogen: bool) -> float:
+    """Return the energy of a ring atom: -1 per hydrogen bond, 1 per polar atom that it cannot bond."""
     reach = _CARBON if name[0] == "C" else _HYDROGEN_BOND
     first, second = _RING[name]
     out = 2.0 * at[name] - at[first] - at[second]
     out = out / max(float(np.linalg.norm(out)), _UPON)
     energy = 0.0
-    for each in near:
-        way = each.x - (at[name] + out)
-        if np.linalg.norm(each.x - at[name]) > reach or way @ out <= _STRAIGHT * np.linalg.norm(way):
+    for atom in near:
+        vector = atom.x - (at[name] + out)
+        if np.linalg.norm(atom.x - at[name]) > reach or vector @ out <= _STRAIGHT * np.linalg.norm(vector):
             continue
-        if name[0] == "N" and (each.takes if has_hydrogen else each.gives):
-            energy -= 1.0 if has_hydrogen or not each.takes else _TURNABLE
+        if name[0] == "N" and (atom.is_acceptor if has_hydrogen else atom.is_donor):
+            energy -= 1.0 if has_hydrogen or not atom.is_acceptor else _TURNABLE
         else:
             energy += 1.0
     return energy
 
 
-def _role(a: gemmi.Atom, template: Template | None) -> tuple[bool, bool]:
-    """Whether an atom gives a hydrogen, and takes one, by its template; both if it may be either."""
+def _hydrogen_bonding(a: gemmi.Atom, template: Template | None) -> tuple[bool, bool]:
+    """Return whether an atom is a donor, and whether it is an acceptor, by its template. Both may be true."""
     if a.element.is_metal:
         return True, False
     if template is None:
         return a.name != "O", a.name != "N"
-    gives = bool(template.hydrogens.get(a.name))
+    is_donor = bool(template.hydrogens.get(a.name))
     is_open = not (template.hydrogens or template.is_users)
-    return gives or is_open, a.element.name == "O" or not (gives or a.name == "N")
+    return is_donor or is_open, a.element.name == "O" or not (is_donor or a.name == "N")

@@ -10,7 +10,7 @@ from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.flips import settled
+from protochain.structure.preparation.flips import choose_flips
 from protochain.structure.preparation.pka import by_propka
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 
@@ -32,7 +32,7 @@ def protonate(draft: Draft) -> Changes:
     pka = by_propka(draft) if draft.reading.ph == AUTO else _USUAL
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
-    chosen, turned = settled(
+    chosen, turned = choose_flips(
         (
             member,
             None
