@@ -1,4 +1,4 @@
-"""Many structures, on one machine or, by Dask, on a cluster."""
+"""Many structures, on one machine or on a cluster of Dask."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Settings of a batch in its folder, so that it is resumed with the same ones only."""
+"""Settings of a batch, stored in its folder. A batch is resumed with the same settings only."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ NAME = "settings.json"
 def store_settings(
     folder: Path, common: BatchSettings, jobs: Sequence[Job], table: str = "summary.csv"
 ) -> None:
-    """Write the settings of a batch to its folder, or refuse to go on with other ones."""
+    """Write the settings of a batch to its folder, or raise if the folder has other settings."""
     path = folder / NAME
     settings, records = _plain(common), _structure_settings(common, jobs)
     if path.exists():
@@ -52,7 +52,7 @@ def _holds_results(table: Path) -> bool:
 
 
 def _plain(settings: BatchSettings) -> dict[str, Any]:
-    """Settings as JSON reads them back, with all else that makes results differ."""
+    """Settings as JSON reads them back, with the version and the hash of force-field files."""
     values = settings.record() | {"protochain": version("protochain")}
     files = user_files(settings.setup.forcefield)
     if files:
@@ -67,7 +67,7 @@ def _plain(settings: BatchSettings) -> dict[str, Any]:
 
 
 def _structure_settings(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
-    """What each structure has other than the common settings; several where a manifest names it again."""
+    """Settings of each structure that differ from the common ones. A manifest may name a structure twice."""
     usual = _plain(common)
     records: dict[str, list[dict[str, Any]]] = {}
     for job in jobs:
@@ -103,7 +103,7 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
 
 
 def _difference(name: str, old: Any, new: Any) -> str:
-    """How a setting differs, in words."""
+    """Difference of a setting, as text."""
     if old in (None, ""):
         return f"without {name}, which is {_text_of(new)} now"
     return f"with {name} {_text_of(old)}, " + (
@@ -112,7 +112,7 @@ def _difference(name: str, old: Any, new: Any) -> str:
 
 
 def _text_of(value: Any) -> str:
-    """A setting in words: no disulfides are other than none stated, which are found."""
+    """Setting as text. An empty list is `none`, so that it differs from a setting that is absent."""
     if isinstance(value, list):
         return ",".join(map(_text_of, value)) or "none"
     return str(value)

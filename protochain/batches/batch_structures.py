@@ -1,4 +1,4 @@
-"""``batch``: many structures in many processes, results to disk as they arrive."""
+"""``batch``: many structures in many processes. Results are written as they arrive."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _AHEAD = 4
-"""Jobs handed out for each that is done at a time: enough to keep all workers busy."""
+"""Submitted jobs for each worker, so that no worker waits."""
 
 _RECOUNT = 5.0
-"""s between counts of the workers: a cluster may grow."""
+"""s between counts of the workers, as a cluster may grow."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,14 @@ class BatchProgress:
     Parameters
     ----------
     total, done, failed, skipped : int
-        All; minimised in this call; of these without any usable result; finished by an earlier call.
+        All structures, structures minimised in this call, failures among these, and structures finished by
+        an earlier call.
     seconds : float
-        Since the first was submitted.
+        Time since the first structure was submitted.
     dashboard : str
         Address of Dask's dashboard, if there is one.
     line : str
-        What became of the structure that is done last.
+        Result of the latest structure, as text.
     """
 
     total: int
@@ -84,7 +85,7 @@ class Batch:
 
     @cached_property
     def table(self) -> "pd.DataFrame":
-        """``summary.csv``: a row a structure and method, failures among them."""
+        """``summary.csv``: a row for each structure and method, also for failures."""
         return read_table(self.folder / f"{self.name}.csv")
 
     @cached_property
@@ -124,24 +125,24 @@ def batch(
     watch: Callable[[BatchProgress], None] | None = None,
     **settings: Any,
 ) -> Batch:
-    """Minimise or relax many structures in worker processes; write tables, structures and pages.
+    """Minimise or relax many structures in worker processes. Write tables, structures and pages.
 
     Parameters
     ----------
     inputs : path-like or iterable of path-like
         Files, folders, patterns, or ``-`` for a list on standard input, with lines or NULs between the names.
     output : path-like
-        Folder for ``summary.csv``, ``traces.csv``, structures and pages, to which rows are appended as they
-        arrive; at the end also ``summary.parquet``, ``summary.json``, plots and ``report.html``.
+        Folder for ``summary.csv``, ``traces.csv``, structures and pages. Rows are appended as they arrive.
+        At the end, ``summary.parquet``, ``summary.json``, plots and ``report.html`` are written.
     methods : str or sequence of str
         As in :func:`protochain.minimise`, and ``relax``, as :func:`protochain.relax`. With ``openmm`` among
         them, C-alpha RMSDs to its end are reported.
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after settings, which apply to that structure.
     resume : bool
-        Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
+        Continue in a folder with the same settings. Finished, unchanged structures are skipped.
     force : bool
-        Replace the batch in the folder; files of structures that are not done again stay.
+        Replace the batch in the folder. Files of structures that are not in the new batch remain.
     watch : callable, optional
         Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
@@ -153,13 +154,13 @@ def batch(
     Returns
     -------
     Batch
-        Tables and pages. A structure that fails is a row with a status and a message, and stops no other.
+        Tables and pages. A structure that fails has a row with a status and a message.
 
     Raises
     ------
     ProtochainError
-        If there is nothing to do, a setting is unknown or makes no sense or differs from that of the batch to
-        be resumed, or the folder or cluster cannot be used.
+        If there is nothing to do, a setting is unknown, invalid or different from the resumed batch, or the
+        folder or cluster cannot be used.
 
     Examples
     --------
@@ -188,18 +189,18 @@ def relax_files(
     watch: Callable[[BatchProgress], None] | None = None,
     **processes: Any,
 ) -> Batch:
-    """Relax many structures: :func:`protochain.batch` with the method ``relax``, its table ``relaxed.csv``.
+    """Relax many structures. Like :func:`protochain.batch` with the method ``relax``.
 
     Parameters
     ----------
     inputs : iterable of path-like
         Files, folders, patterns.
     output : path-like
-        Folder for the structures, ``relaxed.csv`` with a row for each, and pages.
+        Folder for the structures, their table ``relaxed.csv`` and pages.
     relaxing : RelaxSettings, optional
-        How firmly, and how far.
+        Settings of the relaxation.
     setup : Setup, optional
-        How structures are read, and their energy. Its threads are those of each structure; one by default.
+        Settings for reading the structures and for their energy. ``threads`` is per structure, 1 by default.
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
     resume, force : bool
@@ -217,8 +218,7 @@ def relax_files(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be
-        used.
+        If there is nothing to do, the settings differ from the resumed folder, or the folder cannot be used.
     """
     setup = setup or Setup()
     if setup.threads is not None:
@@ -241,7 +241,7 @@ def run_batch(
     name: str = SUMMARY,
     force: bool = False,
 ) -> Batch:
-    """Find the structures, run those that are not finished; write tables, structures and pages."""
+    """Find the structures and run the unfinished ones. Write tables, structures and pages."""
     jobs = find_jobs(inputs, common, manifest, folder, earlier_rows(folder, name) if resume else ())
     differing = next((job for job in jobs if job.settings.methods != common.methods), None)
     if differing and name != SUMMARY:
@@ -276,7 +276,7 @@ def _work(
     workers: Workers, todo: Sequence[Job], tables: Tables, processes: Processes, skipped: int,
     watch: Callable[[BatchProgress], None] | None,
 ) -> bool:  # fmt: skip
-    """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
+    """Run the jobs and append their rows as they arrive. Return whether the batch was interrupted."""
     began = perf_counter()
     waiting, window = iter(todo), _Window(workers)
     running, folder = Submitted(workers, processes), tables.folder.absolute()
@@ -306,7 +306,7 @@ def _work(
 
 
 def _line(rows: Sequence[Row]) -> str:
-    """One line on a structure: how each method ended; the message of a failure, once."""
+    """One line for a structure: the result of each method, or the message of a failure."""
     lines: list[str] = []
     for record in (row.record for row in rows):
         if "output" in record and record["status"] not in ("killed", "error"):  # These are of its page.
@@ -330,7 +330,7 @@ def _line(rows: Sequence[Row]) -> str:
 
 
 class _Window:
-    """Number of jobs to have handed out, so that memory does not grow with the batch."""
+    """Number of jobs to submit at a time, so that memory does not grow with the batch."""
 
     def __init__(self, workers: Workers) -> None:
         self.workers, self.counted, self.count = workers, -_RECOUNT, 0
@@ -350,7 +350,7 @@ def _rows(future: Any, task: Task) -> list[Row]:
 
 
 def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:
-    """Text of a column by structure, where there is any."""
+    """Text of a column by structure. Empty cells are skipped."""
     texts = dict(zip(table["structure"], table[key], strict=True))
     return {str(name): text for name, text in texts.items() if isinstance(text, str) and text}
 

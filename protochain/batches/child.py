@@ -1,7 +1,7 @@
-"""The process that minimises: ``main``, run in a Python of its own that a thread of a batch starts.
+"""The worker process: a thread of a batch starts ``main`` in a separate Python.
 
-It may hang, be killed, or run out of memory without harm to the batch. It reads pickled jobs from standard
-input and writes pickled rows to standard output.
+The batch continues if the process hangs, is killed, or runs out of memory. It reads pickled jobs from
+standard input and writes pickled rows to standard output.
 """
 
 import os
@@ -17,7 +17,7 @@ READY, DONE = "ready", "done"
 
 
 def main() -> None:
-    """Run jobs until the pipe is closed, on purpose or because the batch has died."""
+    """Run jobs until the pipe closes, at the end of the batch or when it has died."""
     results = os.fdopen(os.dup(1), "wb")
     # Output of libraries must not mix with the rows.
     os.dup2(2, 1)
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:
-    """Pass jobs on as they arrive; end with whoever sends them, who may die in the middle of one."""
+    """Queue jobs as they arrive. Exit when the pipe closes, also within an incomplete job."""
     try:
         while True:
             jobs.put(pickle.load(source))

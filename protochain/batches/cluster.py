@@ -1,4 +1,4 @@
-"""Who does the jobs of a batch: threads of this process, or a Dask cluster that is running already."""
+"""Workers of a batch: threads of this process, or a running Dask cluster."""
 
 import logging
 import pickle
@@ -25,25 +25,24 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
-"""s. Time for the scheduler to answer, and for the first worker before its absence is told."""
-"""How the name begins of the folder of what all processes need."""
+"""s. Time for the scheduler to answer, and for the first worker before a warning."""
 
 
 @dataclass(frozen=True)
 class Processes:
-    """Where the structures of a batch are minimised, and what each may use.
+    """Processes that minimise the structures of a batch, and their resources.
 
     Parameters
     ----------
     workers : int, optional
-        Processes on this machine; by default as many as its cores allow.
+        Processes on this machine. By default, as many as its cores allow.
     scheduler : str, optional
         Address of a Dask cluster to use instead. Its workers must see the same files under the same paths.
-        For ``tls://`` the certificates are those of Dask's own settings (``distributed.comm.tls``).
+        For ``tls://`` the certificates are read from Dask's settings (``distributed.comm.tls``).
     threads : int
-        Threads for each structure. One is best: many structures use the cores better than many threads.
+        Threads for each structure. One is best, as many structures use the cores better than many threads.
     time_limit : float, s
-        Time for each structure, after which it is given up and reported.
+        Time for each structure. After it, the structure is stopped and reported.
 
     Raises
     ------
@@ -68,22 +67,22 @@ class Processes:
         return self.workers or max(1, processors() // self.threads)
 
     def started_early(self) -> AbstractContextManager[None]:
-        """Start processes on this machine now, for :func:`at_work`: they import while this one reads."""
+        """Start processes for :func:`open_workers` now. They import modules while this process reads."""
         return nullcontext() if self.scheduler else started_early(self.count, self.threads)
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the jobs."""
+    """Workers that run the jobs."""
 
     submit: Callable[..., Any]  # As of :class:`concurrent.futures.Executor`, or of Dask.
-    count: Callable[[], int]  # Of jobs that are done at a time, now.
-    dashboard: str = ""  # Address of Dask's, if there is one.
+    count: Callable[[], int]  # Current number of workers.
+    dashboard: str = ""  # Address of Dask's dashboard, if any.
 
 
 @contextmanager
 def open_workers(processes: Processes) -> Iterator[Workers]:
-    """Start threads of this process, or connect to a cluster; what is not done at the end is given up."""
+    """Start threads of this process, or connect to a cluster. Unfinished jobs are cancelled at the end."""
     if processes.scheduler is None:
         # Without sockets: whoever could reach them would run any code as the user.
         with crew(processes.count) as executor:
@@ -98,27 +97,27 @@ def open_workers(processes: Processes) -> Iterator[Workers]:
 
 
 class Submitted:
-    """Jobs that were handed to workers, in the order in which they end."""
+    """Submitted jobs, in the order in which they end."""
 
-    # A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
-    # seconds)`` which rows stand for those that are missing where its process ended.
+    # A job yields its rows by ``run(threads)``. If its process ended, ``lost(finished_rows, status, message,
+    # seconds)`` returns the rows that replace the missing ones.
 
     def __init__(self, workers: Workers, processes: Processes) -> None:
         self.workers, self.limits = workers, (processes.threads, processes.time_limit)
         self._ended: SimpleQueue[tuple[Any, Any]] = SimpleQueue()
-        self._running = set[Any]()  # Dask gives up what nobody holds.
+        self._running = set[Any]()  # Dask cancels futures without references.
 
     def __len__(self) -> int:
         return len(self._running)
 
     def submit(self, job: Any) -> None:
-        """Hand out a job."""
+        """Submit a job."""
         future = self.workers.submit(supervise, job, *self.limits)
         self._running.add(future)
         future.add_done_callback(lambda future: self._ended.put((job, future)))
 
     def wait_for_next(self, timeout: float | None = None) -> tuple[Any, Any]:
-        """Wait for the next to end: the job, and its future; :class:`queue.Empty` after a timeout, s."""
+        """Wait for the next job to end. Return the job and its future, or raise :class:`queue.Empty`."""
         job, future = self._ended.get(timeout=timeout)
         self._running.remove(future)
         return job, future
@@ -127,7 +126,7 @@ class Submitted:
 def run_jobs(
     jobs: Sequence[Any], processes: Processes | None, threads: int | None = None
 ) -> Iterator[tuple[Any, list[Any]]]:
-    """Jobs with their rows: here, one after the other, on so many threads; or by processes, as they end."""
+    """Yield jobs with their rows, in order in this process, or as they end in several processes."""
     if processes is None:
         yield from ((job, [*job.run(threads)]) for job in jobs)
         return
@@ -141,9 +140,9 @@ def run_jobs(
 
 
 def reason(error: Exception, path: object = "") -> tuple[str, str]:
-    """Status and message of the row of what an error ended; ``path`` is what was worked on."""
+    """Status and message of a row that an error ended. ``path`` is its input."""
     match error:
-        case WriteError():  # With space it may be done: not what is wrong with this structure.
+        case WriteError():  # The disk is full. The structure itself is not the cause.
             return "killed", str(error)
         case ProtochainError():
             return "refused", str(error)
@@ -157,7 +156,7 @@ def reason(error: Exception, path: object = "") -> tuple[str, str]:
 
 @contextmanager
 def shared_file(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
-    """File, for as long as it is needed, of values that all processes read."""
+    """Temporary file of the values that all processes read."""
     with tempfile.TemporaryDirectory(".part", temporary_stem(), folder) as shared_folder:
         path = Path(shared_folder).absolute() / "task.pickle"
         try:
@@ -173,13 +172,13 @@ def shared_file(values: tuple[Any, ...], folder: Path | None = None) -> Iterator
 
 @lru_cache(maxsize=1)
 def load_shared(path: Path) -> Any:
-    """What :func:`shared` wrote: the jobs of a process have it in common."""
+    """Values that :func:`shared_file` wrote. All jobs of a process share them."""
     return pickle.loads(path.read_bytes())
 
 
 @contextmanager
 def _connect(scheduler: str) -> Iterator["Client"]:
-    # Half a second that batches on this machine do without.
+    # Imported only here, as it takes half a second.
     dask = library("distributed", "cluster")
     try:
         security = dask.Security() if scheduler.startswith("tls://") else None
@@ -193,7 +192,7 @@ def _connect(scheduler: str) -> Iterator["Client"]:
 
 
 def _await_workers(client: "Client", scheduler: str) -> None:
-    """Wait for a worker, and say so: a queue may give it later, or nobody has started one."""
+    """Wait for a worker. Warn after a while, as a queue may start it later, or nobody started one."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:

@@ -1,4 +1,4 @@
-"""Ensembles: which frames are alike, the middle one of each cluster, and how far residues fluctuate."""
+"""Ensembles: clusters of frames, their medoids, and fluctuations of residues."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WITHIN = {"rmsd": 2.0, "torsions": 30.0}
-"""angstrom, degrees: average distance of the members of a cluster, by default."""
+"""angstrom, degrees. Default average distance between the members of a cluster."""
 _MOST = 5000
-"""Frames: the distances of all pairs are held in memory."""
+"""Frames, as the distances of all pairs are in memory."""
 _ROUNDS = 3
 """Superpositions on the mean, which then moves by less than a thousandth of an angstrom."""
 
@@ -38,13 +38,13 @@ class Clusters(Value):
     Parameters
     ----------
     table : pandas.DataFrame
-        A row a frame: ``frame``, ``cluster`` (from 1, the largest first), ``medoid`` (whether it is the frame
-        that is nearest to all others of its cluster) and ``distance_to_medoid``, angstrom or degrees.
+        A row for each frame: ``frame``, ``cluster`` (from 1, the largest first), ``medoid`` (true for the
+        medoid of a cluster) and ``distance_to_medoid``, angstrom or degrees.
     medoids : tuple of Structure
         The medoid of each cluster.
     fluctuations : pandas.DataFrame
-        A row a residue: ``chain``, ``residue``, ``name``, ``ca_fluctuation_angstrom``, the root-mean-square
-        deviation of its C-alpha from the mean of all frames, superposed on it.
+        A row for each residue: ``chain``, ``residue``, ``name`` and ``ca_fluctuation_angstrom``. This is the
+        root-mean-square deviation of its C-alpha from the mean of all frames, which are superposed on it.
 
     Examples
     --------
@@ -69,15 +69,15 @@ def cluster_frames(
     top: Any, frames: Any = None, select: Any = None, *, by: str = "rmsd", within: float | None = None,
     measure: str = "name CA", **settings: Any,
 ) -> Clusters:  # fmt: skip
-    """Cluster the frames of an ensemble, and measure how far its residues fluctuate.
+    """Cluster the frames of an ensemble, and compute the fluctuations of its residues.
 
     Parameters
     ----------
     top, frames, select : as of :func:`protochain.relax_frames`
-        Structure, its frames, and which of them to take; all are read into memory.
+        Structure, its frames, and a selection of frames. All of these are read into memory.
     by : str
-        ``rmsd`` of selected atoms, superposed, or ``torsions``: the root mean square of the differences of
-        phi and psi.
+        ``rmsd`` of the superposed atoms of ``measure``, or ``torsions``, the root mean square of the
+        differences of phi and psi.
     within : float, angstrom or degrees, optional
         Average distance at which clusters are cut: 2 angstrom, or 30 degrees.
     measure : str
@@ -88,12 +88,12 @@ def cluster_frames(
     Returns
     -------
     Clusters
-        By average linkage (scipy); a medoid has the least sum of distances to its cluster.
+        Clusters by average linkage (scipy). A medoid has the least sum of distances to its cluster.
 
     Raises
     ------
     ProtochainError
-        If there is no frame, one cannot be used, or there are more than 5000.
+        If there are fewer than 1 or more than 5000 frames, or a frame cannot be used.
 
     Examples
     --------
@@ -132,7 +132,7 @@ def cluster_frames(
 
 
 def rmsds(x: Sequence[Floats]) -> Floats:
-    """(m, m) RMSD of all pairs of m sets of points (n, 3), superposed, in their unit."""
+    """(m, m) RMSD of all pairs of m superposed sets of points (n, 3), in their unit."""
     at = np.array([frame - frame.mean(axis=0) for frame in x])
     square, distances = np.sum(at**2, axis=(1, 2)), np.zeros((len(at), len(at)))
     for i in range(1, len(at)):
@@ -145,7 +145,7 @@ def rmsds(x: Sequence[Floats]) -> Floats:
 
 
 def cluster_distances(distances: Floats, within: float) -> tuple[Integers, Integers]:
-    """Cluster (m,), from 1, the largest first, and medoid of each, by average linkage of distances (m, m)."""
+    """Clusters by average linkage of distances (m, m): labels (m,), from 1, largest first, and medoids."""
     m = len(distances)
     tree = linkage(squareform(distances, checks=False), "average") if m > 1 else np.empty((0, 4))
     flat_clusters = fcluster(tree, within, "distance") if m > 1 else np.ones(1, dtype=np.int64)

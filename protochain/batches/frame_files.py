@@ -1,4 +1,4 @@
-"""Files of a run over frames: a row a frame as it is done, a trajectory, and where to go on after a kill."""
+"""Files of a run over frames: a table, a trajectory, and a checkpoint from which the run is resumed."""
 
 import csv
 import json
@@ -30,28 +30,28 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _KEEP_EVERY = 10.0
-"""s between checkpoints: what is done after the last is done again."""
+"""s between checkpoints. Frames after the last checkpoint are computed again."""
 _MOST_IN_TEXT = 20_000_000
-"""Atoms of all models of a text file, which is made in memory."""
+"""Atoms of all models of a text file, which is built in memory."""
 _NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
-"""What is kept of a run that has not begun."""
+"""Checkpoint of a new run."""
 FIRST = ("frame", "time_ps", "status", "message", GAP)
 
 Watch = Callable[[int, int, FrameResult], None]
-"""Told of each frame: how many are done, how many of these cannot be used, and the last."""
+"""Called after each frame with the number of frames so far, the failures among them, and the frame."""
 
 
 @dataclass(frozen=True)
 class FramesRun:
-    """What a run over frames wrote."""
+    """Output of a run over frames."""
 
-    csv: Path  # A row a frame.
-    trajectory: Path | None = None  # Of the frames that could be used, in their order.
+    csv: Path  # A row for each frame.
+    trajectory: Path | None = None  # Usable frames, in their order.
     topology: Path | None = None  # Structure with the atoms of the trajectory.
-    counts: Mapping[str, int] = field(default_factory=dict)  # Of frames, by status.
+    counts: Mapping[str, int] = field(default_factory=dict)  # Number of frames by status.
     written: int = 0  # Frames in the trajectory.
-    interrupted: bool = False  # Whether it was stopped before all frames were done.
-    was_complete: bool = False  # Whether an earlier one did all.
+    interrupted: bool = False  # Whether the run ended before the last frame.
+    was_complete: bool = False  # Whether an earlier run was complete.
 
     @cached_property
     def table(self) -> "pd.DataFrame":
@@ -88,7 +88,7 @@ def run_frames(
     force: bool = False,
     watch: Watch | None = None,
 ) -> FramesRun:
-    """Do a task to every frame; write a row for each, and the frames that it changed."""
+    """Run a task on every frame. Write a row for each frame, and the changed frames."""
     if resume and not force and table.exists() and not checkpoint_of(table).exists():
         return _complete(ensemble, frames, task, table, trajectory)
     settings = _settings(ensemble, frames, task, hydrogens)
@@ -109,7 +109,7 @@ def run_frames(
         except KeyboardInterrupt:
             interrupted = True
         with held_interrupts():
-            files.keep()
+            files.save_checkpoint()
             if not interrupted:
                 files.finish()
     n_written = files.trajectory.n_frames if files.trajectory else 0
@@ -123,7 +123,7 @@ def _columns(task: Task, trajectory: Path | None) -> tuple[str, ...]:
 def _complete(
     ensemble: Ensemble, frames: Frames, task: Task, table: Path, trajectory: Path | None
 ) -> FramesRun:
-    """What a run that is complete wrote; a table of other frames or columns is refused."""
+    """Output of a complete run. Raise if the table has other frames or columns."""
     with table.open(newline="", encoding="utf-8", errors="replace") as file:
         reader = csv.DictReader(file)
         matches = tuple(reader.fieldnames or ()) == _columns(task, trajectory)
@@ -141,7 +141,7 @@ def _complete(
 
 
 class _Files:
-    """Table and trajectory, which grow together, and the checkpoint that says how far both are sound."""
+    """Table and trajectory, which grow together, and a checkpoint with their valid lengths."""
 
     def __init__(
         self, ensemble: Ensemble, task: Task, table: Path, trajectory: Path | None, hydrogens: bool,
@@ -170,10 +170,10 @@ class _Files:
         with writing(table):
             self.rows = GrowingTable(table, _columns(task, trajectory), resumed["bytes"])
         self.saved_at = monotonic()
-        self.keep()
+        self.save_checkpoint()
 
     def _read_checkpoint(self, resume: bool, force: bool) -> Mapping[str, Any]:
-        """How far an interrupted run is sound; nothing of a new one."""
+        """State of an interrupted run, or of a new run."""
         if self.checkpoint.exists() and resume:
             remedy = "give another output, or begin anew with ", Argument("force", True)
             with checkpoint(self.checkpoint, self.settings, "run over frames", *remedy) as read:
@@ -196,7 +196,7 @@ class _Files:
         return _NOTHING
 
     def append(self, result: FrameResult) -> None:
-        """Add a row, and the frame if it can be used."""
+        """Add a row, and the frame if it is usable."""
         row = dict(result.record)
         if result.structure is not None:
             self.n_sound += 1
@@ -209,10 +209,10 @@ class _Files:
         self.counts[str(row["status"])] += 1
         self.n_rows += 1
         if monotonic() - self.saved_at > _KEEP_EVERY:
-            self.keep()
+            self.save_checkpoint()
 
-    def keep(self) -> None:
-        """Write all to the disk, and how far it is."""
+    def save_checkpoint(self) -> None:
+        """Write the buffers and the checkpoint to the disk."""
         with self._saved():
             n_bytes = self.rows.stored()
             place = self.trajectory.stored() if self.trajectory else None
@@ -224,7 +224,7 @@ class _Files:
         self.saved_at = monotonic()
 
     def finish(self) -> None:
-        """Give the trajectory its name, or make models of it; nothing is left to resume."""
+        """Rename the trajectory, or convert it to models. Remove the checkpoint."""
         if self.trajectory and self.output:
             if self.trajectory.n_frames and not _in_text(self.output):
                 self.trajectory.finish()
@@ -264,7 +264,7 @@ def _topology_path(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
 
 
 def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -> dict[str, Any]:
-    """All on which the files depend, as JSON reads it back."""
+    """Settings on which the files depend, as JSON reads them back."""
     path = Path(frames.source)
     record = {
         "task": task.name, "protochain": version("protochain"), "frames": frames.source,

@@ -1,4 +1,4 @@
-"""Page of a run over frames: how they ended, and what differs between them, along the frames."""
+"""Page of a run over frames: their statuses, and the quantities that differ between frames."""
 
 from pathlib import Path
 
@@ -14,11 +14,11 @@ from protochain.results.page import explored, write_page
 from protochain.results.provenance import of_run
 
 _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
-"""What is drawn first, by how its name begins."""
+"""Beginnings of the names of the quantities that are drawn first."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
 _MOST_FIGURES = 12
 _WORST = ("violations_end", "violations", "ca_rmsd_angstrom")
-"""What tells most of damage, where a run measures it."""
+"""Measures of damage, the best first."""
 
 
 def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
@@ -47,7 +47,7 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
 
 
 def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """Rows without a result first, then those with something left; in each by what tells most of damage."""
+    """Sort rows: without a result, not converged, converged, and in each the most damaged first."""
     by = next((name for name in _WORST if name in table and table[name].notna().any()), "frame")
     severity = np.select([~_usable(table), table["status"] != "converged"], [0, 1], 2)
     far = -table[by].astype(float) if by != "frame" else table[by]
@@ -59,7 +59,7 @@ def _usable(table: pd.DataFrame) -> pd.Series:
 
 
 def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
-    """Curves against the frame; those of start and end of a quantity are drawn together."""
+    """Curves against the frame. Start and end of a quantity share a panel."""
     pairs: dict[str, dict[str, str]] = {}
     for name in map(str, numbers):
         when = next((when for when in ("start", "end_reference", "end") if f"_{when}" in name), "")

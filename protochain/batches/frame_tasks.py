@@ -1,4 +1,4 @@
-"""What is done to the frames of an ensemble, and the part of it that a process does."""
+"""Tasks on the frames of an ensemble, and their jobs for processes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,24 +33,24 @@ from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, native, sc
 from protochain.validation.likeness import LIKENESS, likeness
 
 Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
-"""What is done to a frame: its structure -> what its row says, and positions (na, 3), nm, if they change."""
+"""Function of a frame: its structure -> values of its row, and changed positions (na, 3), nm, or None."""
 
 
 class Task(Protocol):
-    """What is done to every frame, a frozen value; pickled once for each process."""
+    """Task on every frame, a frozen value. It is pickled once for each process."""
 
     @property
     def name(self) -> str: ...  # noqa: D102 (of a protocol)
     @property
     def columns(self) -> tuple[str, ...]:
-        """What a row says beside ``frame``, ``time_ps`` and ``message``."""
+        """Columns of a row, except ``frame``, ``time_ps`` and ``message``."""
 
     @property
     def at_a_time(self) -> int:
-        """Frames that a process gets at a time."""
+        """Frames of a job."""
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
-        """Prepare, once, what all frames of a structure share."""
+        """Prepare the values that all frames of a structure share."""
 
     def settings(self) -> dict[str, Any]:
         """Plain values on which the rows depend."""
@@ -69,7 +69,7 @@ class RelaxFrames(Task):
 
     relaxing: RelaxSettings
     setup: Setup
-    energy: Energy | None = None  # In place of that of the setup.
+    energy: Energy | None = None  # Replaces the energy of the setup.
     name = "relax"
     at_a_time = 1
 
@@ -79,7 +79,7 @@ class RelaxFrames(Task):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Those of a relaxation that may differ between frames, and scores of the interface."""
+        """Columns of a relaxation that may differ between frames, and scores of the interface."""
         return tuple(column.key for column in self._columns)
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
@@ -99,7 +99,7 @@ class RelaxFrames(Task):
 
 @dataclass(frozen=True)
 class ValidateFrames(Task):
-    """What is wrong with each frame, and its likeness to a reference, as :func:`protochain.validate`."""
+    """Errors and outliers of each frame, and similarity to a reference, as :func:`protochain.validate`."""
 
     setup: Setup
     reference: Structure | None = None
@@ -108,11 +108,11 @@ class ValidateFrames(Task):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Measures, and those of likeness."""
+        """Measures of errors, and of similarity."""
         return (*MEASURES, *(LIKENESS if self.reference else ()))
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
-        """Nothing to prepare."""
+        """Return the function. Validation needs no preparation."""
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             row = Found(frame, frame.positions).measures()
@@ -125,18 +125,18 @@ class ValidateFrames(Task):
 
 @dataclass(frozen=True)
 class EnergyFrames(Task):
-    """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term."""
+    """Energy of each frame by term, as :func:`protochain.energy_terms`."""
 
     setup: Setup
-    between: str | None = None  # Two parts, of whose interaction it is.
-    energy: Energy | None = None  # In place of that of the setup.
-    whole: bool = False  # Only its value, and the forces.
+    between: str | None = None  # Two parts, for their interaction energy.
+    energy: Energy | None = None  # Replaces the energy of the setup.
+    whole: bool = False  # Only the total energy, and the forces.
     name = "energy"
     at_a_time = 8
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Terms; between two parts of their interaction, and of desolvation."""
+        """Terms of the energy. For two parts, terms of their interaction and desolvation."""
         if self.whole:
             return ("energy_kj_mol", "rms_force_kj_mol_nm")
         totals = (*TERMS, "total")
@@ -168,8 +168,8 @@ class ScoreFrames(Task):
     """Score an interface of each frame, as :func:`protochain.score_interface`."""
 
     setup: Setup
-    interface: str | None = None  # Its sides, as ``A,B:C``; by default the only two chains in contact.
-    relax: bool = False  # First.
+    interface: str | None = None  # Its sides, as ``A,B:C``. By default, the only two chains in contact.
+    relax: bool = False  # Before scoring.
     reference: Structure | None = None  # Complex from which the sides of a frame deviate.
     name = "score"
     at_a_time = 1
@@ -211,14 +211,14 @@ def _with_threads(setup: Setup, threads: int | None) -> Setup:
 
 
 def _for_many(setup: Setup, structure: Structure) -> Setup:
-    """Setup for many frames: on a device they share one context, so that it pays for fewer atoms."""
+    """Setup for many frames, which share one device context. A device pays off for fewer atoms."""
     fewest = defaults.DEVICE_FROM_IN_FRAMES
     device = "cpu" if setup.engine == "native" else chosen(setup.device, structure.n_atoms, fewest)
     return replace(setup, device=device)
 
 
 def _begin_anew(energy: Energy, x: Floats) -> None:
-    """Make neighbour lists for a frame, so that its numbers do not depend on the frames before it."""
+    """Build neighbour lists for a frame, so that its results do not depend on earlier frames."""
     for level in (energy, getattr(energy, "coarse", None)):
         if level is not None and level.lists_at is not None:
             level.list_at(x)
@@ -226,7 +226,7 @@ def _begin_anew(energy: Energy, x: Floats) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FrameRow(Value):
-    """Row of a frame, and its positions (na, 3) in nm, as a process sends them; whether it ended there."""
+    """Row and positions (na, 3), nm, of a frame from a process, and whether the process ended at it."""
 
     index: int
     record: Mapping[str, Any]
@@ -239,24 +239,24 @@ class FrameRow(Value):
 
 @dataclass(frozen=True)
 class FrameJob:
-    """Some frames, for a process."""
+    """Frames for a process."""
 
     task: Path  # Pickled ensemble, task and file of the frames.
-    frames: tuple[Frame | int, ...]  # Or their places in the file, which it reads: damaged ones may end it.
+    frames: tuple[Frame | int, ...]  # Or indices in the file: reading a damaged one may end the process.
 
     @property
     def indices(self) -> tuple[int, ...]:
-        """Places of the frames."""
+        """Indices of the frames."""
         return tuple(frame if isinstance(frame, int) else frame.index for frame in self.frames)
 
     def run(self, threads: int) -> Iterator[FrameRow]:
-        """Do the task to each of the frames."""
+        """Run the task on each frame."""
         ensemble, act, reading = prepare_task(self.task, threads)
         for frame in self.frames:
             yield row_of(ensemble, act, reading.at(frame) if isinstance(frame, int) else frame)
 
     def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
-        """Row of the frame at which the process ended, after others were done."""
+        """Row of the frame at which the process ended, the first unfinished one."""
         lost_frame = self.frames[len(finished_rows)]
         frame = Frame(lost_frame, None) if isinstance(lost_frame, int) else lost_frame
         row = origin(frame) | failure_columns(frame, status, message) | {"seconds": seconds}
@@ -265,14 +265,14 @@ class FrameJob:
 
 @lru_cache(maxsize=1)
 def prepare_task(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
-    """Ensemble, task and frames of a file, ready."""
+    """Ensemble, prepared task and frames of a pickled file."""
     ensemble, task, source = load_shared(path)
     reading = None if source is None else Reading(open_frames(source))
     return ensemble, task.begin(ensemble.structure, threads), reading
 
 
 def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
-    """Do the task to a frame; what goes wrong is in its row."""
+    """Run the task on a frame. Errors are reported in its row."""
     row, began = origin(frame), perf_counter()
     try:
         structure = ensemble.at(frame)
@@ -291,14 +291,14 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
 
 
 GAP = "largest_gap_angstrom"
-"""Largest distance of a molecule from those that it touches in the structure."""
+"""Largest distance of a molecule from the molecules that it touches in the structure."""
 
 
 def origin(frame: Frame) -> dict[str, Any]:
-    """Columns that tell which frame a row is of."""
+    """Columns that identify the frame of a row."""
     return {"frame": frame.index, "time_ps": frame.time}
 
 
 def failure_columns(frame: Frame, status: str, message: str) -> dict[str, Any]:
-    """Columns of a frame that cannot be used."""
+    """Columns of an unusable frame."""
     return {"status": status, "message": f"frame {frame.index}: {' '.join(message.split())}"}

@@ -1,4 +1,4 @@
-"""Every frame of an ensemble: relaxed or measured, here or by many processes, in their order."""
+"""Relax or measure every frame of an ensemble in order, in this process or several."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _AHEAD = 3
-"""Jobs handed out for each worker: while one is done, others wait for it."""
+"""Submitted jobs for each worker, so that no worker waits."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameResult(Value):
-    """What became of a frame.
+    """Result of a frame.
 
     Parameters
     ----------
     frame : int
-        Its place in the source, from 0.
+        Index in the source, from 0.
     record : mapping
-        Its row: ``frame``, ``time_ps``, ``status``, ``message`` and what was measured.
+        Row of the frame: ``frame``, ``time_ps``, ``status``, ``message`` and the columns of the task.
     structure : Structure, optional
-        Relaxed, or as it was measured; None of a frame that cannot be used.
+        Relaxed or measured structure. None if the frame cannot be used.
     task : Task
-        What was done to it.
+        Task of the run.
 
     Examples
     --------
@@ -56,14 +56,14 @@ class FrameResult(Value):
 
     @property
     def energy_function(self) -> Energy | None:
-        """Energy that frames were relaxed in, one for all; None of one that cannot be used, or was not."""
+        """Energy of the relaxation, shared by all frames. None if this frame was not relaxed or failed."""
         if self.structure is None or not isinstance(self.task, RelaxFrames):
             return None
         return self.task.energy or self.task.setup.energy(self.structure, shared_energy)
 
     @property
     def move(self) -> str | None:
-        """Selection of what could move."""
+        """Selection of the moving atoms."""
         return self.task.setup.move if isinstance(self.task, RelaxFrames) else None
 
     def __repr__(self) -> str:
@@ -76,34 +76,34 @@ class FrameResult(Value):
 def relax_frames(
     top: Any, frames: Any = None, select: Any = None, *, workers: int | None = None, **options: Any
 ) -> Iterator[FrameResult]:
-    """Relax every frame of an ensemble; the structure is prepared once, and has one energy.
+    """Relax every frame of an ensemble. The structure is prepared once, and its energy is shared.
 
     Parameters
     ----------
-    top : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure with the atoms of the frames, from which hydrogens and all that a frame lacks are known. Of
-        a result, energy and selection as by :func:`protochain.relax`.
+    top : Structure, path, or anything that :func:`protochain.as_structure` accepts
+        Structure with the atoms of the frames. It provides hydrogens and other atoms that frames lack. If it
+        is a result, its energy and selection are used as in :func:`protochain.relax`.
     frames : path-like, (n, atoms, 3) float, nm, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, optional
         Trajectory (``.xtc``, ``.trr``, ``.dcd``, ``.nc``), PDB or mmCIF file with models, or ``.npz`` with
-        ``positions`` or ``pos`` and their ``unit``. Atoms are those of the file of ``top``, or of ``top`` as
-        prepared. It is read frame by frame. By default, the models of the file ``top``.
+        ``positions`` or ``pos`` and their ``unit``. Its atoms are the atoms of the file ``top``, or of the
+        prepared ``top``. It is read frame by frame. By default, the models of the file ``top``.
     select : int, str, slice or list, optional
-        Frames to take: a number, ``"START:STOP:STEP"``, or a list, as ``"0,2,5"``; all by default.
+        Frames: a number, ``"START:STOP:STEP"``, or a list, as ``"0,2,5"``. By default, all frames.
     workers : int, optional
-        Processes. By default all is done in this one, on as many threads as ``threads`` says.
+        Processes. By default, this process runs all frames on ``threads`` threads.
     **options
         As for :func:`protochain.relax`.
 
     Returns
     -------
     iterator of FrameResult
-        In the order of the frames, whatever the number of processes. A frame that cannot be used has a row
-        with the reason, and stops no other.
+        Results in the order of the frames, for any number of processes. A frame that cannot be used has a
+        row with the reason. The other frames continue.
 
     Raises
     ------
     ProtochainError
-        If an option makes no sense, or the structure or the frames cannot be used.
+        If an option is invalid, or the structure or the frames cannot be used.
 
     Examples
     --------
@@ -127,16 +127,16 @@ def frame_energies(
     top: Any, frames: Any = None, select: Any = None, *, energy: Any = None, between: str | None = None,
     workers: int | None = None, **settings: Any,
 ) -> "pd.DataFrame":  # fmt: skip
-    """Compute the energy of every frame of an ensemble; the structure is prepared once, and has one energy.
+    """Compute the energy of every frame of an ensemble. The structure is prepared once.
 
     Parameters
     ----------
     top, frames, select : as of :func:`protochain.relax_frames`
-        Structure, its frames, and which of them to take.
+        Structure, its frames, and a selection of frames.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     between : str, optional
-        Two parts of the structure, as in :func:`protochain.energy_terms`, whose interaction to tell by term.
+        Two parts of the structure, as in :func:`protochain.energy_terms`, for their interaction by term.
     workers : int, optional
         Processes.
     **settings
@@ -145,13 +145,13 @@ def frame_energies(
     Returns
     -------
     pandas.DataFrame
-        A row a frame: ``frame``, ``time_ps``, ``status``, ``message``, ``energy_kj_mol`` and
-        ``rms_force_kj_mol_nm``; between two parts the terms instead. One that cannot be used has the reason.
+        A row for each frame: ``frame``, ``time_ps``, ``status``, ``message``, ``energy_kj_mol`` and
+        ``rms_force_kj_mol_nm``, or the terms between two parts. Unusable frames have a message.
 
     Raises
     ------
     ProtochainError
-        If a setting makes no sense, or the structure, the frames or the energy cannot be used.
+        If a setting is invalid, or the structure, the frames or the energy cannot be used.
 
     Examples
     --------
@@ -174,7 +174,7 @@ def frame_energies(
 
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
-    """Open frames, prepare the structure that they are of, and find its atoms among theirs."""
+    """Open frames, prepare their structure, and map its atoms to the atoms of the frames."""
     frames_read = open_frames(top if frames is None else frames, select)
     structure = setup.load(top)
     names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues")
@@ -185,7 +185,7 @@ def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensem
 def over_frames(
     ensemble: Ensemble, frames: Frames, task: Task, processes: Processes | None = None
 ) -> Iterator[FrameResult]:
-    """Do a task to every frame, in their order."""
+    """Run a task on every frame, in order."""
     if processes is None:
         act = task.begin(ensemble.structure, None)
         for frame in frames:
@@ -198,7 +198,7 @@ def over_frames(
         rows: dict[int, FrameRow] = {}
         running, retried = Submitted(workers, processes), set[int]()
         while True:
-            # Counted from the oldest that is not done: results that wait for it do not pile up.
+            # Counted from the oldest unfinished job, so that finished results do not accumulate.
             while len(jobs) < _AHEAD * max(1, workers.count()) and (
                 chunk := [*islice(waiting, task.at_a_time)]
             ):
@@ -208,7 +208,7 @@ def over_frames(
                 return
             job, future = running.wait_for_next()
             future_rows = future.result()
-            # A damaged frame may spoil memory, so that the process ends at a sound one after it.
+            # A damaged frame may corrupt memory, so that the process ends at a later, valid frame.
             if future_rows[-1].process_ended and future_rows[-1].index not in retried:
                 retried.add(future_rows.pop().index)
             rows |= {row.index: row for row in future_rows}

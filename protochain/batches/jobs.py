@@ -1,4 +1,4 @@
-"""Jobs of a batch: inputs found, given unique names, and hashed with their settings."""
+"""Jobs of a batch: find inputs, assign unique names, and hash them with their settings."""
 
 import csv
 import glob
@@ -45,24 +45,24 @@ _GLOB = frozenset("*?[")
 @document_settings()
 @dataclass(frozen=True)
 class BatchSettings(StartSettings, MinimiseSettings):
-    """How each structure of a batch is prepared, and what is done to it.
+    """Settings for the preparation and the methods of each structure of a batch.
 
     Parameters
     ----------
     methods : tuple of str
-        Run one after the other from the same start: those of :func:`protochain.minimise`, and ``relax``.
+        Methods of :func:`protochain.minimise`, and ``relax``. Each runs from the same start.
     setup : Setup
-        How the structure is prepared; its ``threads`` are those of the batch.
+        Settings for preparing the structure. ``threads`` is set by the batch.
     relaxing : RelaxSettings
-        How ``relax`` does it; its tolerance is that of the batch, where one is given.
+        Settings of ``relax``. If the batch has a tolerance, it replaces the tolerance here.
     tolerance : float, optional
-        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
-        starts; by default, that of each.
+        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` for several
+        starts. By default, each uses its own default.
 
     Raises
     ------
     ProtochainError
-        If a setting makes no sense.
+        If a setting is invalid.
     """
 
     methods: tuple[str, ...] = setting((defaults.METHOD,), "", several)
@@ -92,7 +92,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
             refuse_held(self.restraint, self.max_rmsd)
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
         if RELAX in self.methods:
-            _ = self.of_relaxing  # It may be refused.
+            _ = self.of_relaxing  # It may raise.
 
     @property
     def minimising(self) -> dict[str, Any]:
@@ -101,18 +101,18 @@ class BatchSettings(StartSettings, MinimiseSettings):
 
     @property
     def of_relaxing(self) -> Setup:
-        """Setup of ``relax``, whose protocol may have a force field of its own."""
+        """Setup of ``relax``. A protocol may set the force field."""
         return self.relaxing.setup(self.setup)
 
     @property
     def idle(self) -> frozenset[str]:
-        """Names of the settings that none of the methods has."""
+        """Names of the settings that no method uses."""
         relaxes, minimises = RELAX in self.methods, {*self.methods} != {RELAX}
         without: frozenset[str] = frozenset()
         return (without if minimises else _OF_MINIMISING) | (without if relaxes else _OF_RELAXING)
 
     def changed(self, **settings: Any) -> "BatchSettings":
-        """Return these settings with some replaced, given by their names, or the setup's, or relaxing's."""
+        """Return a copy with settings replaced by name, also in the setup and in ``relax``."""
         refuse_unknown(settings, NAMES)
         for group, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING)):
             parts = {name: settings.pop(name) for name in names if name in settings}
@@ -121,7 +121,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         return replace(self, **settings)
 
     def read(self, row: Mapping[str, str]) -> "BatchSettings":
-        """Return these settings with the filled cells of a manifest's row in their place."""
+        """Return a copy with settings replaced by the cells of a manifest's row. Empty cells are skipped."""
         options = {name: _OF_OPTION.get(name.replace("-", "_"), name.replace("-", "_")) for name in row}
         refuse_unknown((name for name, option in options.items() if option not in _IN_MANIFEST), _COLUMNS)
         cells = {options[name]: text.strip() for name, text in row.items() if text.strip()}
@@ -137,7 +137,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         return settings
 
     def refuse_idle(self, names: Iterable[str], idle: frozenset[str] | None = None) -> None:
-        """Refuse the first of the settings given that no method has: nothing would come of it."""
+        """Raise for the first setting that no method uses, as it would have no effect."""
         idle = self.idle if idle is None else idle
         name = next((name for name in names if name in idle), None)
         if name is not None:
@@ -147,18 +147,18 @@ class BatchSettings(StartSettings, MinimiseSettings):
             )  # fmt: skip
 
     def values(self) -> dict[str, Any]:
-        """Return all plain values by name, but for ``threads``, which change no result."""
+        """Return all plain values by name, except ``threads``, which does not change results."""
         setup = self.of_relaxing if self.methods == (RELAX,) else self.setup
         values = asdict(self) | asdict(self.relaxing) | asdict(setup)
         return {name: value for name, value in values.items() if name not in _NO_VALUES}
 
     def record(self) -> dict[str, Any]:
-        """Return those plain values by name that results of the methods depend on."""
+        """Return the plain values by name on which the results of the methods depend."""
         return {name: value for name, value in self.values().items() if name not in self.idle}
 
 
 def refuse_unknown(names: Iterable[str], known_names: Sequence[str]) -> None:
-    """Refuse the first name that is not known, and list those that are."""
+    """Raise for the first unknown name, and list the known names."""
     unknown = next((name for name in names if name not in known_names), None)
     if unknown is not None:
         raise ProtochainError(
@@ -182,7 +182,7 @@ NAMES = tuple(dict.fromkeys((*(field.name for field in fields(BatchSettings)), *
 
 
 def _reader(option: Setting) -> Callable[[str], Any]:
-    """Reader of a cell of a manifest, which says what the option would be given."""
+    """Reader of a cell of a manifest, whose text is the value of the option."""
     kind = _READERS.get(option.kind, str)
     return lambda text: option.read(kind(text)) if option.read else kind(text)
 
@@ -196,9 +196,9 @@ _SETTINGS = {
     if name not in (*_NO_VALUES, "trust_forcefield")
 }
 _IN_MANIFEST = {name: _reader(option) for name, option in _SETTINGS.items()}
-"""Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
+"""Columns of a manifest, except ``path``, and readers of their cells. Angles are in degrees."""
 _OF_OPTION = {option.column(name): name for name, option in _SETTINGS.items()}
-"""Fields by the names of their options; a manifest may use either."""
+"""Fields by the names of their options. A manifest may use both names."""
 _COLUMNS = tuple(_OF_OPTION)
 
 
@@ -209,11 +209,11 @@ class Job:
     Parameters
     ----------
     name : str
-        Unique in the batch; its files are named after it.
+        Unique name in the batch, and stem of its files.
     path : Path
-        Absolute.
+        Absolute path.
     settings : BatchSettings
-        The setup's model is a number, or None for the first.
+        Settings of the job. The setup's model is a number, or None for the first model.
     key : str
         SHA-256 of the file's content, the settings, and the version of protochain.
     """
@@ -225,11 +225,11 @@ class Job:
 
     @property
     def identity(self) -> tuple[str, str]:
-        """Name and key: rows of an earlier file or other settings have another."""
+        """Name and key. Rows of an earlier file or with other settings have another key."""
         return self.name, self.key
 
     def anywhere(self) -> "Job":
-        """The same job for a worker, which may have been started in another folder: files by whole paths."""
+        """Copy for a worker in another folder, with absolute paths of files."""
         setup = self.settings.setup
         files = {str(file): str(file.absolute()) for file in _files(setup)}
         force_field = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
@@ -245,14 +245,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one method for one structure: its line of ``summary.csv``, and lines of ``traces.csv``."""
+    """Result of one method for one structure: its row of ``summary.csv``, and rows of ``traces.csv``."""
 
     record: dict[str, Any]
     trace: list[dict[str, float]]
 
 
 def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
-    """Return the row of a method without a result; ``status`` and ``message`` give the reason."""
+    """Return the row of a method without a result. ``status`` and ``message`` state the reason."""
     record = origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
     return Row(record | {"seconds": seconds}, [])
 
@@ -273,11 +273,11 @@ class _JobInput:
     path: Path
     settings: BatchSettings
     root: Path
-    """Folder below which its own folders are named."""
+    """Folder relative to which the structure is named."""
     pose: str = ""
 
     def job(self) -> Job:
-        """Its job, without a name."""
+        """Job of the input, without a name."""
         return Job("", self.path.absolute(), self.settings, _key(self.path, self.settings))
 
 
@@ -295,25 +295,25 @@ def find_jobs(
     inputs : iterable of str or path-like
         Files, folders (all structures below them), patterns, or ``-`` for a list on standard input.
     settings : BatchSettings
-        Of all jobs; with the model ``all``, each model of a file is a job.
+        Settings of all jobs. With the model ``all``, each model of a file is a job.
     manifest : Path, optional
-        CSV with a column ``path`` and any of the settings; paths are relative to its folder.
+        CSV with a column ``path`` and any of the settings. Paths are relative to its folder.
     output : Path, optional
-        Folder for the results: it is not searched, and nothing that is read may lie in it.
+        Output folder. It is not searched, and inputs must not be inside it.
     earlier : sequence of Earlier, optional
-        Results in that folder, which keep their names.
+        Results in the output folder, whose names are reused.
 
     Returns
     -------
     list of Job
-        In the order given, without duplicates, and named after their files below the folder that all of these
-        have in common. A file that is missing or cannot be read is a job that fails.
+        Jobs in the order of the inputs, without duplicates. They are named after their files, relative to the
+        common folder. A file that is missing or cannot be read is a job that fails.
 
     Raises
     ------
     ProtochainError
-        If there is nothing to do, no file exists, the manifest makes no sense, a setting is one that no
-        method has, or an input might be replaced.
+        If there is nothing to do, no file exists, the manifest is invalid, no method uses a setting, or an
+        input might be replaced.
     """
     inputs_found = [
         _JobInput(path, settings, root) for source in inputs for path, root in _paths(str(source), output)
@@ -354,7 +354,7 @@ def find_jobs(
 
 
 def read_names(by_nul: bool = False) -> list[str]:
-    """Names on standard input: one a line, or with NULs between them, as of ``find -print0``."""
+    """Names on standard input, separated by line ends, or by NULs, as of ``find -print0``."""
     data = sys.stdin.buffer.read() if hasattr(sys.stdin, "buffer") else sys.stdin.read().encode()
     # Names of files need not be text.
     text = os.fsdecode(data)
@@ -364,7 +364,7 @@ def read_names(by_nul: bool = False) -> list[str]:
 
 
 def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
-    """Files that are meant, each with the folder below which its own folders are named."""
+    """Files of a source, each with the folder relative to which it is named."""
     if source == "-":
         for name in read_names():
             yield from _paths(name, output)
@@ -387,14 +387,14 @@ def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
 
 
 def _is_inside(path: Path, folder: Path | None) -> bool:
-    """Whether a path leads into a folder, as it is written or where its links lead."""
+    """Whether a path is inside a folder, before or after resolving links."""
     if folder is None:
         return False
     return absolute(folder) in absolute(path).parents or folder.resolve() in path.resolve().parents
 
 
 def _is_structure(path: Path) -> bool:
-    # What is not there, though a folder lists it, is a link to nothing.
+    # A listed path that does not exist is a broken link.
     return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
@@ -425,7 +425,7 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_JobInput]:
 
 
 def _poses(job_input: _JobInput) -> list[_JobInput]:
-    """The structure with each pose of a folder or a file that was given as a ligand."""
+    """Copies of an input, one for each pose of a folder or file of ligands."""
     ligands = job_input.settings.setup.ligands
     group = next((source for name, source in ligands if not name and are_several(source)), None)
     if group is None:
@@ -454,15 +454,15 @@ def _models(job_input: _JobInput) -> list[_JobInput]:
         try:
             numbers = model_numbers(job_input.path)
         except (ProtochainError, OSError):
-            numbers = []  # The job fails, with the reason, when it is run.
+            numbers = []  # The job reports the reason when it runs.
         models = numbers if len(numbers) > 1 else [None]
     else:
-        models = models_asked(requested)  # A job whose model is not there fails, and says so.
+        models = models_asked(requested)  # A job without its model reports that.
     return [replace(job_input, settings=job_input.settings.changed(model=model)) for model in models]
 
 
 def _files(setup: Setup) -> list[Path]:
-    """Other files that a structure is prepared with: of force fields, of ligands and their charges."""
+    """Further files for preparing a structure: force fields, ligands and their charges."""
     sources = (*(file_and_record(source)[0] for _, source in setup.ligands), Path(setup.ligand_charges))
     return [*user_files(setup.forcefield), *(file for file in sources if file.is_file())]
 
@@ -471,7 +471,7 @@ def _hash(path: Path) -> str:
     try:
         with regular(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except (OSError, ProtochainError):  # The job fails, with the reason.
+    except (OSError, ProtochainError):  # The job reports the reason.
         return ""
 
 

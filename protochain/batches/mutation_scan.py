@@ -1,4 +1,4 @@
-"""Every mutation of some sites, here or by many processes, and a table that a kill does not lose."""
+"""All mutations of some sites, in this process or several. The table is complete after each mutant."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ ALL = "all"
 Rows = list[dict[str, Any]]
 _SITE = ("chain", "residue", "wild", "mutant")
 _MOST = 15.0
-"""kJ/mol at which the colour of the heat map is full: some 3.6 kcal/mol."""
+"""kJ/mol at which the colours of the heat map saturate, about 3.6 kcal/mol."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class SiteJob:
 
     task: Path  # Pickled structure and settings.
     residue: int
-    letters: str  # Those that it becomes.
+    letters: str  # New residues, as one-letter codes.
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
-        """Make and relax each mutant; residues that move alike share the wild type."""
+        """Build and relax each mutant. Mutants with the same moving residues share the wild type."""
         structure, relaxing, setup = load_shared(self.task)
         relaxations: dict[tuple[Any, ...], Relaxation] = {}
         for letter in self.letters:
@@ -56,7 +56,7 @@ class SiteJob:
                 yield _failed_row(structure, self.residue, letter, *reason(error))
 
     def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
-        """Rows of the mutants that are missing, where the process ended."""
+        """Rows of the missing mutants, if the process ended."""
         structure = load_shared(self.task)[0]
         return [
             _failed_row(structure, self.residue, letter, status, message)
@@ -77,7 +77,7 @@ def _failed_row(structure: Structure, r: int, letter: str, status: str, message:
 
 
 def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str]]:
-    """Residues by index, and letters that each becomes, of ``A:1-50,B:7`` and ``A``, ``AVL`` or ``all``."""
+    """Indices of residues, and their new letters, of ``A:1-50,B:7`` and ``A``, ``AVL`` or ``all``."""
     letters = "".join(sorted(LETTERS)) if text(into, "into") == ALL else into.upper()
     if not letters or not {*letters} <= LETTERS.keys():
         raise ProtochainError(Argument("into"), f" {into!r}: give letters of residues, as A or AVL, or all")
@@ -100,31 +100,31 @@ def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str
 def scan_mutations(
     source: Any, sites: str, into: str = "A", *, workers: int | None = None, **options: Any
 ) -> "pd.DataFrame":
-    """Mutate each residue of some sites by itself, to alanine or to others; a row for each mutant.
+    """Mutate each residue of some sites separately, to alanine or to other residues.
 
     Parameters
     ----------
-    source : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure to mutate; relax it first.
+    source : Structure, path, or anything that :func:`protochain.as_structure` accepts
+        Structure to mutate. Relax it first.
     sites : str
         Residues, as ``"A:1-50,B:7"``, chains, or one selection in the language of MDAnalysis.
     into : str
-        Letters that each becomes in turn, or ``all`` for the other nineteen.
+        One-letter codes of the new residues, or ``all`` for the other nineteen.
     workers : int, optional
-        Processes. By default all is done in this one.
+        Processes. By default, this process runs all mutants.
     **options
         As for :func:`protochain.mutate`.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``chain``, ``residue``, ``wild``, ``mutant``, and those of :meth:`Mutation.record`; a mutant
-        that cannot be made has a message.
+        A row for each mutant: ``chain``, ``residue``, ``wild``, ``mutant``, and the columns of
+        :meth:`Mutation.record`. A mutant that cannot be built has a message.
 
     Raises
     ------
     ProtochainError
-        If the structure has no such sites, or an option makes no sense.
+        If the structure has no such sites, or an option is invalid.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def rows_of(
     structure: Structure, jobs: Sequence[tuple[int, str]], relaxing: RelaxSettings, setup: Setup,
     processes: Processes | None,
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
-    """Rows of mutants, as they are done."""
+    """Rows of mutants, as they are finished."""
     with shared_file((structure, relaxing, setup)) as path:
         site_jobs = [SiteJob(path, *job) for job in jobs]
         for _, rows in run_jobs(site_jobs, processes, setup.threads):
@@ -160,7 +160,7 @@ def run_scan(
     structure: Structure, sites: str, into: str, relaxing: RelaxSettings, setup: Setup, table: Path,
     processes: Processes, resume: bool, watch: Callable[[int, int], None],
 ) -> tuple["pd.DataFrame", bool]:  # fmt: skip
-    """Write a table of mutants as they are done, after a kill those that are left; whether it was stopped."""
+    """Write a table of mutants as they finish, or resume one. Return it, and whether it was interrupted."""
     import pandas as pd
 
     jobs, checkpoint_file = sites_of(structure, sites, into), checkpoint_of(table)
@@ -175,7 +175,7 @@ def run_scan(
     if checkpoint_file.exists() and resume:
         remedy = "give another output, or leave out ", Argument("resume", True)
         with checkpoint(checkpoint_file, settings, "scan", *remedy):
-            pass  # Its settings are the same.
+            pass  # Only to compare the settings.
         if table.exists():
             numbers = [column.key for column in COLUMNS if column.kind is not str]
             read: Any = pd.read_csv(
@@ -200,7 +200,7 @@ def run_scan(
         write_atomically(table, lambda to: sorted_table.to_csv(to, index=False))
         return sorted_table
 
-    keep()  # In place of an earlier table, whose rows would be taken for those of this scan.
+    keep()  # Replaces an earlier table, whose rows are not part of this scan.
     write_checkpoint(checkpoint_file, {}, None, settings)
     try:
         for row in rows_of(structure, left, relaxing, setup, processes):
@@ -218,7 +218,7 @@ def run_scan(
 
 
 def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
-    """Sites against the residues that they become: red costs, blue gains, grey is the wild type."""
+    """Heat map of sites against new residues: red positive, blue negative, grey the wild type."""
     from protochain.results.figures import panels
 
     sites = list(dict.fromkeys(zip(table["chain"], table["residue"].astype(str), table["wild"], strict=True)))

@@ -1,4 +1,4 @@
-"""Names of structures in a batch: their folders mirrored, each name once, those of earlier results kept."""
+"""Unique names of structures in a batch, with their folders. Names of earlier results are reused."""
 
 import os
 from collections import Counter
@@ -16,18 +16,18 @@ from protochain.structure.formats.files import split_name
 
 @dataclass(frozen=True)
 class NameRequest:
-    """What is to be named."""
+    """Structure without a name."""
 
     path: Path  # Absolute.
-    root: Path  # Given, or that of the file: names of the folders below it are part of the name.
+    root: Path  # Input folder, or folder of the file. The name has the path relative to it.
     model: int | str | None
     key: str  # Hash of content and settings.
-    methods: tuple[str, ...]  # What is done to it: each result is a file.
-    pose: str = ""  # Name of the pose of a ligand that is added to it, one of several.
+    methods: tuple[str, ...]  # Each writes a file.
+    pose: str = ""  # Name of the pose of an added ligand, if there are several.
 
     @property
     def source(self) -> tuple[str, str]:
-        """Path and model, as tables have them."""
+        """Path and model, as in tables."""
         return as_utf8(str(self.path)), "" if self.model is None else str(self.model)
 
     @cached_property
@@ -36,7 +36,7 @@ class NameRequest:
         return absolute(self.path)
 
     def name(self, home: Path, level: int, position: int) -> str:
-        """Name below a folder; each level tells more things apart than the one before."""
+        """Name relative to a folder. Each level adds a more specific ending."""
         stem, suffix, packing = split_name(self.place)
         ending = f"{suffix}{packing}" if level == _WITH_ENDING else ""
         model = "" if self.model is None else f".{self.model}"
@@ -46,12 +46,12 @@ class NameRequest:
 
 
 _WITH_ENDING, _LAST = 1, 3
-"""Levels of names: after the file, with its ending, with its key, and with its place in the list."""
+"""Levels of names: stem of the file, with its suffix, with the key, and with the index in the list."""
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """A row of an earlier batch in the same folder, by its columns; and whether its input is gone."""
+    """Row of an earlier batch in the same folder, and whether its input was removed."""
 
     structure: str
     input: str
@@ -67,17 +67,17 @@ class Earlier:
 
     @property
     def claims(self) -> frozenset[str]:
-        """Names that are taken."""
+        """Names in use."""
         return frozenset({self.structure, self.output.rpartition(".")[0]})
 
 
 def absolute(path: Path) -> Path:
-    """Path from the root, without ``..``; links are not followed."""
+    """Absolute path, without ``..``. Links are not followed."""
     return Path(os.path.abspath(path))  # noqa: PTH100 (resolve would follow links, absolute keeps ..)
 
 
 def poses_name(name: str, method: str = RELAX) -> str:
-    """Path of the poses of a result, in the folder of a batch, as SDF."""
+    """Path of the SDF file of poses of a result, in the folder of a batch."""
     return f"{output_stem(name, method)}.sdf"
 
 
@@ -90,7 +90,7 @@ def output_stem(name: str, method: str) -> str:
 
 
 def assign_names(requests: Sequence[NameRequest], earlier: Sequence[Earlier] = ()) -> list[str]:
-    """Name structures after their files, below the folder that all have in common."""
+    """Name structures after their files, relative to their common folder."""
     if not requests:
         return []
     folders = [folder for request in requests for folder in (absolute(request.root), request.place.parent)]
@@ -118,7 +118,7 @@ def assign_names(requests: Sequence[NameRequest], earlier: Sequence[Earlier] = (
 
 
 def _reuse(requests: Sequence[NameRequest], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
-    """Names that stay, empty where there is none yet; and what results of other files claim."""
+    """Reused names, empty if there is none, and the names in use by results of other files."""
     sources = Counter(request.source for request in requests)
     same = {(row.source, row.key): row.structure for row in earlier}
     changed = {row.source: row.structure for row in earlier if sources[row.source] == 1}

@@ -1,4 +1,4 @@
-"""Page of one structure: results, energy curves, repairs. Small, as there may be thousands."""
+"""Page of one structure: results, energy curves, repairs. It is small, as there may be thousands."""
 
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
@@ -33,7 +33,7 @@ SHOWN_RELAXED = tuple(
         "ca_rmsd_angstrom": "C-alpha RMSD", "n_rounds": "rounds", "seconds": "seconds",
     }.items()
 )  # fmt: skip
-"""Columns of structures that are relaxed."""
+"""Columns of relaxed structures."""
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
@@ -71,13 +71,13 @@ def write_page(
 
 
 _MOST_ATOMS = 20_000
-"""Atoms of a structure that its page shows: more would be megabytes, and there may be thousands of pages."""
+"""Most atoms of a structure on its page. More would be megabytes, and there may be thousands of pages."""
 
 
 def _view_data(
     folder: Path, path: Path, ends: Mapping[str, tuple[Structure, Structure | None]]
 ) -> dict[str, Any]:
-    """Variables of the viewer, whose library is beside the pages, once for all of them."""
+    """Variables of the viewer. All pages share one file of its library."""
     structures = {method: end for method, (_, end) in ends.items() if end is not None}
     start = next((start for start, _ in ends.values()), None)
     if start is None or not structures or start.n_atoms > _MOST_ATOMS:
@@ -91,7 +91,7 @@ def _view_data(
 
 
 def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.DataFrame":
-    """Totals of what each method changed, a column each."""
+    """Totals of the changes of each method, in one column each."""
     from protochain.comparison.differences import of_ends, totals_of
 
     changes = {

@@ -1,4 +1,4 @@
-"""Page of a whole batch: counts of statuses, distributions, and rows with the worst first."""
+"""Page of a batch: counts of statuses, distributions, and rows, the worst first."""
 
 import re
 from functools import partial
@@ -22,11 +22,11 @@ _SHOWN = {
     "structure", "method", "status", "ca_rmsd_angstrom", "energy_end_reference_kj_mol", "violations_end",
     "clashscore_end", "ramachandran_outliers_end", "seconds",
 }  # fmt: skip
-"""Columns that the page shows at first, of those that it has."""
+"""Columns of the page that are shown at first."""
 _NOT_ON_PAGE = (
     "energy_.*_kj_mol|.*_eigenvalue_.*|.*_beside_.*|n_(bodies|hinges|chains|lost_atoms)|seed|threads"
 )
-"""Columns of numbers that are in the table alone, but for energies at start and end."""
+"""Numeric columns in the table only, except energies at start and end."""
 
 USABLE = "energy_end_reference_kj_mol"
 
@@ -50,7 +50,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
 
 
 def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
-    """Rows of the page, the worst first, each with the page of its structure."""
+    """Rows of the page, the worst first, with links to the pages of structures."""
     columns = [
         str(name) for name in rows.select_dtypes("number")
         if name in (USABLE, "energy_start_kj_mol") or not re.fullmatch(_NOT_ON_PAGE, str(name))
@@ -64,7 +64,7 @@ def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Sort rows: those without a result, those not converged, the others; in each, largest RMSD first."""
+    """Sort rows: without a result, not converged, converged, and in each the largest RMSD first."""
     rank = np.where(table[USABLE].isna(), 0, np.where(table["status"] != "converged", 1, 2))
     return (
         table.assign(rank=rank, far=-table["ca_rmsd_angstrom"].astype(float))
@@ -85,7 +85,7 @@ def plot_distributions(table: "pd.DataFrame") -> Figure:
 
 
 def _measures(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
-    """What is drawn of a batch, by the stem of its file, with its label."""
+    """Quantities that are drawn, with their labels, by the stem of the file."""
     return {
         "energy": (_drop(table), "energy drop, kJ/mol per residue"),
         "rmsd": (table["ca_rmsd_angstrom"], "C-alpha RMSD to the start, angstrom"),

@@ -1,4 +1,4 @@
-"""Interfaces of many complexes, scored here or by many processes."""
+"""Scores of the interfaces of many complexes, in this process or several."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,23 +16,23 @@ from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored
 
 Scored = tuple[str, Interface | str]
-"""Name of a complex, and the scores of one of its interfaces, or why there are none."""
+"""Name of a complex, and the scores of an interface, or the reason for their absence."""
 
 
 @dataclass(frozen=True)
 class ScoreJob:
-    """A complex whose interfaces are scored."""
+    """Complex whose interfaces are scored."""
 
     name: str
     path: Path  # ``-`` is standard input.
     setup: Setup
-    interfaces: tuple[str, ...] = ()  # Sides, as ``A,B:C``; all chains in contact by default.
-    relax: bool = False  # First.
+    interfaces: tuple[str, ...] = ()  # Sides, as ``A,B:C``. By default, all chains in contact.
+    relax: bool = False  # Before scoring.
     reference: Structure | None = None  # Complex from which its sides deviate.
 
     @property
     def label(self) -> str:
-        """Its name, and the model of the file."""
+        """Name, and model of the file."""
         return self.name if self.setup.model is None else f"{self.name}, model {self.setup.model}"
 
     def run(self, threads: int | None) -> Iterator[Scored]:
@@ -60,11 +60,11 @@ class ScoreJob:
             yield self.label, message if has_name else f"{self.label}: {message}"
 
     def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
-        """Why interfaces are missing, where the process ended."""
+        """Reason for missing interfaces, if the process ended."""
         return [(self.label, f"{self.label}: {message}")]
 
 
 def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> list[Scored]:
-    """Score the interfaces of complexes, in their order; without processes in this one."""
+    """Score the interfaces of complexes, in order. Without ``processes``, this process scores them."""
     results = {id(job): rows for job, rows in run_jobs(jobs, processes)}
     return [row for job in jobs for row in results[id(job)]]

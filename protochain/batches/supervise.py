@@ -1,4 +1,4 @@
-"""Threads, here or of Dask: each runs its jobs in a child process, whose end it survives and reports."""
+"""Threads of this process or of Dask, which run jobs in child processes and report if a child ends."""
 
 import os
 import pickle
@@ -18,7 +18,7 @@ from protochain.core.interrupts import held_interrupts
 from protochain.core.subprocesses import own_python
 
 _START = 600.0
-"""s. Time for a child to import and, on a new installation, to compile; several may compile at once."""
+"""s. Time for a child to import and, on a new installation, to compile. Several may compile at once."""
 
 _PINNED = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENMM_CPU_THREADS",
@@ -26,7 +26,7 @@ _PINNED = (
 
 
 class ChildError(Exception):
-    """Raised when a child ended or exceeded its time; ``status`` and text say which."""
+    """Raised when a child ended or exceeded its time limit. ``status`` is the cause."""
 
     def __init__(self, status: str, message: str) -> None:
         super().__init__(message)
@@ -34,18 +34,18 @@ class ChildError(Exception):
 
 
 class Child:
-    """A process that runs one job after the other, with so many threads for its libraries."""
+    """Process that runs one job at a time, with a number of threads for its libraries."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        # A pipe that is read only when the child has ended might fill.
+        # A file, as a pipe might fill: it is read only after the child has ended.
         self.stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
         self.process = subprocess.Popen(
             own_python("from protochain.batches.child import main; main()"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.stderr,
-            start_new_session=True,  # Ctrl-C, which all processes of a terminal receive, is the batch's.
+            start_new_session=True,  # Only the batch handles Ctrl-C.
             env=os.environ | dict.fromkeys(_PINNED, str(threads)),
         )
         self.messages: queue.Queue[Any] = queue.Queue()
@@ -54,7 +54,7 @@ class Child:
         self.is_ready = False
 
     def do(self, job: Any, time_limit: float) -> list[Any]:
-        """Run a job in the child; return all its rows, even if the child ends before."""
+        """Run a job in the child. Return all its rows, also if the child ends early."""
         rows: list[Any] = []
         began = perf_counter()
         try:
@@ -124,36 +124,36 @@ class Child:
 
 
 _thread_state = threading.local()
-"""The child of each thread, and the children it belongs to, if the thread is of a crew."""
+"""Child of each thread, and the children of its crew, if any."""
 
 
 class _Children(list[Child]):
-    """All children of a crew. They may be ended while a thread starts another."""
+    """All children of a crew. The crew may end while a thread starts another child."""
 
     are_wanted = True
 
     def add(self, child: Child) -> None:
-        """Take one up, or end it where it comes too late."""
+        """Add a child, or end it if the crew has ended."""
         self.append(child)
         if not self.are_wanted:
             child.process.kill()
 
     def end(self) -> None:
-        """End all; their threads notice."""
+        """End all children. Their threads report it."""
         self.are_wanted = False
         for child in self:
             child.process.kill()
 
 
 _ahead: list[Child] = []
-"""Children that no thread has taken yet."""
+"""Children without a thread."""
 _MOST_AHEAD = 8
-"""Of them: there may be fewer jobs than processors."""
+"""Most children without a thread, as there may be fewer jobs than processors."""
 
 
 @contextmanager
 def started_early(count: int, threads: int) -> Iterator[None]:
-    """Start children while this process still imports and reads; :func:`supervise` takes them up."""
+    """Start children while this process imports and reads. :func:`supervise` uses them."""
     _ahead.extend(Child(threads) for _ in range(min(count, _MOST_AHEAD)))
     try:
         yield
@@ -163,7 +163,7 @@ def started_early(count: int, threads: int) -> Iterator[None]:
 
 
 def _take_child(threads: int) -> Child:
-    """A child that was started early, or else one that is started now."""
+    """Child that was started early, or a new one."""
     try:
         child = _ahead.pop()
     except IndexError:
@@ -176,7 +176,7 @@ def _take_child(threads: int) -> Child:
 
 @contextmanager
 def crew(count: int) -> Iterator[Executor]:
-    """Threads that each :func:`supervise` with a child, which is ended at the end, also within a job."""
+    """Threads for :func:`supervise`, each with a child. Children end with the context, also within a job."""
     children = _Children()
     executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_thread_state, "children", children))
     try:
@@ -191,7 +191,7 @@ def crew(count: int) -> Iterator[Executor]:
 
 
 def supervise(job: Any, threads: int, time_limit: float) -> list[Any]:
-    """Run a job in this thread's child, started where none is running: time_limit s."""
+    """Run a job in the child of this thread, for up to time_limit, s. Start a child if there is none."""
     child: Child | None = getattr(_thread_state, "child", None)
     if child is None or not child.is_alive or child.threads != threads:
         if child is not None:

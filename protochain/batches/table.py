@@ -1,4 +1,4 @@
-"""Tables of a batch: rows are appended as results arrive, and incomplete ones discarded on resuming."""
+"""Tables of a batch. Rows are appended as results arrive. Incomplete rows are removed on resuming."""
 
 import csv
 import errno
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _LISTS = ("rounds", "ligands", "restraint_violations", "timings")
-"""Columns of records that are no cells of a table."""
+"""Entries of records that are not columns of a table."""
 
 COLUMNS = (
     *(column.key for column in record.COLUMNS if column.key not in _LISTS), "ca_rmsd_to_openmm_angstrom",
     "n_starts", "energy_median_kj_mol", "energy_highest_kj_mol", "n_within_1_kj_mol_of_lowest",
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
-"""Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
+"""Columns of ``summary.csv``: the record of a minimisation, and columns of a batch."""
 RELAXED_COLUMNS = (
     *(column.key for column in OF_RELAXING if column.key not in _LISTS),
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
 OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
-"""And those of an interface that is scored."""
+"""Columns of the scores of an interface."""
 
 _WHOLE = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
 _TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _WHOLE
@@ -48,13 +48,12 @@ _TYPES |= {
     for column in (*record.COLUMNS, *OF_RELAXING, *INTERFACE_COLUMNS)
     if column.kind in (int, int | None) or get_origin(column.kind) in (list, dict)
 }
-"""Of columns as pandas reads them: names that look like numbers remain text, and whole numbers, which a
-failure lacks, whole."""
+"""Types of columns for pandas. Names that look like numbers remain text. Integers may be missing."""
 _OF_ROWS = ("structure", "method", "status", "input", "model", "output", "key")
-"""Columns of ``summary.csv`` without which a batch cannot go on."""
+"""Columns of ``summary.csv`` that resuming requires."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
-"""Statuses that may differ next time: such runs are repeated on resuming."""
+"""Statuses that may differ in another run. Such runs are repeated on resuming."""
 
 TRACE_COLUMNS = (
     "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "rms_torque_kj_mol_rad",
@@ -69,27 +68,27 @@ _NUMBERS: dict[str, Callable[[str], float]] = {
     },
     **{key: int for key, kind in _TYPES.items() if kind == "Int64"},
 }
-"""What reads a number of a column."""
+"""Readers of numeric columns."""
 
 
 SUMMARY, RELAXED, _TRACES = "summary", "relaxed", "traces.csv"
-"""Stems of the names of tables, of a batch and of relaxed structures; name of that of traces."""
+"""Stems of the tables of a batch and of relaxed structures, and the name of the table of traces."""
 
 
 def replaceable_files(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
-    """Files of a folder that a new batch may replace; none if it goes on, or will be refused."""
+    """Files of a folder that a new batch may replace. None if it resumes or is refused."""
     is_refused = not force and any((folder / f"{table}.csv").exists() for table in (SUMMARY, RELAXED))
     return [] if resume or is_refused else files_of(folder, name)
 
 
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
-    """Files that a batch writes to its folder beside structures, pages and plots."""
+    """Files of a batch in its folder, except structures, pages and plots."""
     names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)
     return [folder / file_name for file_name in names]
 
 
 class Tables:
-    """``summary.csv`` and ``traces.csv`` of a folder, with columns of methods, written by one process."""
+    """``summary.csv`` and ``traces.csv`` of a folder, written by one process."""
 
     # All rows of a structure are appended by one system call, after its traces: a process that is killed has
     # written all of them or none. A loss of power may leave an incomplete row, discarded on resuming.
@@ -114,7 +113,7 @@ class Tables:
         if force and not resume:
             remove_files((*files, other_table, other_table.with_suffix(".parquet")))
         self._new = [file for file in files if not file.exists()]
-        # Of two tables in a folder, each would have the other's settings and traces.
+        # Two tables in a folder would share settings and traces.
         if other_table.exists():
             self.close()
             raise ProtochainError(f"{other_table}: holds a batch; give another folder; ", *REPLACE)
@@ -126,13 +125,13 @@ class Tables:
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
 
     def check(self) -> None:
-        """Refuse damaged tables, before anything is written."""
+        """Raise for damaged tables, before any output."""
         for path in (self.summary, self.traces):
             for _ in _whole_lines(path):
                 pass
 
     def select_finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
-        """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished."""
+        """Remove incomplete rows and rows of superseded inputs. Return the identities of finished jobs."""
         jobs_by_identity = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)
@@ -166,7 +165,7 @@ class Tables:
         _append(self.summary, csv_text(self.columns, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
-        """Sort the rows by job and method: they were appended as they arrived."""
+        """Sort the rows by job and method, as they were appended in the order of arrival."""
         order = {
             (*job.identity, method): (k, m)
             for k, job in enumerate(jobs)
@@ -179,21 +178,21 @@ class Tables:
             _replace(path, columns, rows)
 
     def read(self) -> "pd.DataFrame":
-        """Return ``summary.csv``; values that a failure lacks are missing."""
+        """Return ``summary.csv``. Failures have missing values."""
         return read_table(self.summary)
 
     def abandon(self) -> None:
-        """Remove a new batch without a row, which would keep the next one from the folder."""
+        """Remove the files of a new batch without rows, as they would block the next batch."""
         if self.summary in self._new and not next(iter(_whole_lines(self.summary)), None):
             remove_files(self._new)
 
     def close(self) -> None:
-        """Let others have the folder."""
+        """Release the folder."""
         self._claim.close()
 
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
-    """Return what names the results in a folder have, and of what they are."""
+    """Return the names and sources of the results in a folder."""
     return [
         Earlier(
             row["structure"], row["input"], row["model"], row["key"], row["output"],
@@ -208,18 +207,18 @@ def _source(row: Mapping[str, object]) -> tuple[str, str]:
 
 
 def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
-    """Read a table of a batch, or of frames, with kinds of columns; names of structures may be NA or null."""
+    """Read a table of a batch or of frames with types of columns. Structures may be named NA or null."""
     import pandas as pd
 
     names = pd.read_csv(path, nrows=0).columns
     missing = {name: [""] if types.get(name) == "string" else ["", "nan"] for name in names}
     table = pd.read_csv(path, dtype={**types}, keep_default_na=False, na_values=missing)
-    return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
+    return table.copy()  # Joins the blocks of a hundred columns, which would be slow.
 
 
 def _append(path: Path, text: str) -> None:
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
-    # Names of files may be no UTF-8.
+    # Names of files need not be UTF-8.
     size, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
         with saving(path, "the structures done before"):
@@ -237,7 +236,7 @@ def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, obj
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
-    """Rows of a table, without incomplete and damaged ones."""
+    """Complete, undamaged rows of a table."""
     if not path.exists():
         return
     with regular(path).open(newline="", encoding="utf-8", errors="replace") as file:
@@ -250,7 +249,7 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
                 if not {*(TRACE_COLUMNS if path.name == _TRACES else _OF_ROWS)} <= {*columns}:
                     raise ProtochainError(f"{path}: is not a table of a batch; give another folder")
             elif len(cells) == len(columns) and cells != columns and tuple(cells) not in seen:
-                seen.add(tuple(cells))  # A table that was put behind itself has each row once.
+                seen.add(tuple(cells))  # Skips the duplicates of a table that was appended to itself.
                 with suppress(ValueError):
                     for i, read in numbers:
                         read(cells[i] or "0")
@@ -260,5 +259,5 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
 
 
 def _is_below(name: str) -> bool:
-    """Whether a name of a table leads to a file in its folder: results are written under these names."""
+    """Whether a name of a table is a path in its folder, as results are written to these paths."""
     return not PurePath(name).is_absolute() and os.pardir not in re.split(r"[/\\]", name) and "\0" not in name

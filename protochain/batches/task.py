@@ -1,4 +1,4 @@
-"""One job of a batch: run all methods, yield rows and traces, write files."""
+"""One job of a batch: run all methods, yield rows and traces, and write files."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 
 TRACE_POINTS = 50
-"""Rows kept of a trace: the first, the last, and others spaced evenly in the logarithm of their index."""
+"""Rows of a thinned trace: the first, the last, and others at even spacing in the logarithm of the index."""
 
 
 def thin_trace(trace: "pd.DataFrame") -> list[dict[str, float]]:
-    """Return some rows of a trace, each without what it does not have."""
+    """Return some rows of a trace, without missing values."""
     n = len(trace)
     if n > TRACE_POINTS:
         places = np.unique(np.geomspace(1, n, TRACE_POINTS).astype(int)) - 1
@@ -53,7 +53,7 @@ class Task:
     folder: Path
 
     def run(self, threads: int) -> Iterator[Row]:
-        """Minimise or relax a structure by all methods; write its structures and its page."""
+        """Minimise or relax a structure by all methods. Write its structures and its page."""
         job, began = self.job, perf_counter()
         rows: list[Row] = []
         ends: dict[str, tuple[Structure, Structure | None]] = {}
@@ -64,21 +64,21 @@ class Task:
                 if len(rows) == len(job.settings.methods):
                     try:
                         write_page(self.folder, job, rows, structure.repairs, ends)
-                    except Exception as error:  # The result is there; with space, the page may be made.
+                    except Exception as error:  # The result is saved. The page may work with more space.
                         row.record["status"], row.record["message"] = reason(error, job.path)
                 yield row
         except Exception as error:
             yield from self.lost(rows, *reason(error, job.path), perf_counter() - began)
 
     def lost(self, finished_rows: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
-        """Rows of the methods that were not done when the process ended."""
+        """Rows of the methods that were unfinished when the process ended."""
         finished = {row.record["method"] for row in finished_rows}
         missing = [method for method in self.job.settings.methods if method not in finished]
         return [failure(self.job, method, status, message, seconds) for method in missing]
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
-    """Row, start and end, if it is usable, of each method."""
+    """Yield the row, the start and the usable end, or None, of each method."""
     from protochain.results.columns import flat
     from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
@@ -122,13 +122,13 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
     from protochain.energies.shared import shared_energy
 
-    # Standard input is that of this process, which has the jobs on it.
+    # Standard input of this process carries the jobs.
     structure = setup.load(regular(path))
     return structure, setup.energy(structure, shared_energy)
 
 
 def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple["Relaxation", "pd.DataFrame"]:
-    """Relax a structure; return the result, and its trace as a table."""
+    """Relax a structure. Return the result, and its trace as a table."""
     import pandas as pd
 
     from protochain.relaxation.relax_structure import relax_structure
@@ -142,7 +142,7 @@ def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple[
 def _run(
     chain: "Chain", energy: "Energy", method: str, s: BatchSettings
 ) -> tuple["Solution", dict[str, Any]]:
-    """Minimise by one method; of several starts, return the best solution and what its row says of all."""
+    """Minimise by one method. Return the best solution, and columns of its row about all starts."""
     from protochain.minimisers import explore, minimise
 
     if s.n_starts == 1:
