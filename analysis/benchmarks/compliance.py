@@ -31,8 +31,8 @@ from protochain.minimisers import (
     Stop,
     Torsions,
     near_terms,
-    parted,
     run,
+    separate_overlaps,
 )  # fmt: skip
 
 NAMES = ("ala10", "1l2y", "1vii")
@@ -57,7 +57,7 @@ def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
             -np.pi, np.pi, sum(turns)
         )
         chain = pc.build_chain(structure.with_positions(pc.pose(base, q).x), base.opened)
-        chains.append(pc.build_chain(parted(chain).structure, base.opened))
+        chains.append(pc.build_chain(separate_overlaps(chain).structure, base.opened))
     return chains
 
 

@@ -30,7 +30,7 @@ from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.minimisers.starts import refuse_held
+from protochain.minimisers.starts import refuse_restraints
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import NAMES as OF_RELAXING
 from protochain.relaxation.relax_settings import WITHOUT, RelaxSettings
@@ -89,7 +89,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         for recipe in recipes:
             Minimisation(recipe, **self.minimising)
         if self.n_starts > 1:
-            refuse_held(self.restraint, self.max_rmsd)
+            refuse_restraints(self.restraint, self.max_rmsd)
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
         if RELAX in self.methods:
             _ = self.of_relaxing  # It may raise.

@@ -11,7 +11,7 @@ import numpy as np
 from protochain.batches.jobs import Job, Row
 from protochain.core.palette import looks
 from protochain.core.storage import write_text
-from protochain.minimisers.record import SHOWN, shown
+from protochain.minimisers.record import SHORT_COLUMNS, short_columns
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.columns import Column
 from protochain.results.page import write_page as fill
@@ -46,7 +46,7 @@ def write_page(
     ends: Mapping[str, tuple[Structure, Structure | None]] = MappingProxyType({}),
 ) -> None:
     """Write ``pages/NAME.html``."""
-    minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
+    minimised = SHORT_COLUMNS if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
     columns = {column.key: column for column in (*of_relaxed, *minimised)}.values()
     records = [row.record for row in rows]
@@ -56,7 +56,7 @@ def write_page(
         "structure.html",
         job=job,
         home="../" * len(path.relative_to(folder).parent.parts),
-        shown=shown(records, columns),
+        shown=short_columns(records, columns),
         records=records,
         repairs=repairs,
         changes=_changes(ends),

@@ -66,7 +66,7 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
-    from protochain.minimisers.starts import refuse_held
+    from protochain.minimisers.starts import refuse_restraints
     from protochain.structure.formats.trajectory import check_trajectory, part_of
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
@@ -93,7 +93,7 @@ def minimise(
     if starting.n_starts == 1:
         solve: Any = partial(_once, trajectory=trajectory, **vars(saving), **settings)
     else:
-        refuse_held(minimising.restraint, minimising.max_rmsd)
+        refuse_restraints(minimising.restraint, minimising.max_rmsd)
         solve = partial(_minimise_often, **vars(starting), **settings)
     limit = minimising.max_evaluations
     lengths = starting.n_starts * terminal.typical_evaluations(chosen, limit), starting.n_starts * limit

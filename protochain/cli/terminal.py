@@ -182,9 +182,9 @@ def typical_evaluations(method: "str | Recipe", max_evaluations: int) -> int:
 def print_outlook(source: object, structure: "Structure", method: "str | Recipe") -> bool:
     """Say on standard error what is wrong with a start and what will be done; return whether anything is."""
     from protochain.minimisers.recipes import recipe_of
-    from protochain.minimisers.start_warnings import outlook
+    from protochain.minimisers.start_warnings import describe_start
 
-    lines = outlook(structure, recipe_of(method))
+    lines = describe_start(structure, recipe_of(method))
     warn(lines)
     return bool(lines)
 

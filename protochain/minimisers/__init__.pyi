@@ -29,7 +29,7 @@ from .spaces import Cartesian as Cartesian
 from .spaces import Torsions as Torsions
 from .starts import Starts as Starts
 from .starts import explore as explore
-from .starts import parted as parted
+from .starts import separate_overlaps as separate_overlaps
 from .steps import AcceptReject as AcceptReject
 from .steps import Armijo as Armijo
 from .steps import Decaying as Decaying

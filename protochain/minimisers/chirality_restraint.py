@@ -48,15 +48,15 @@ class ChiralityRestraint:
     def preserving(cls, structure: Structure) -> "ChiralityRestraint":
         """Find the chiral atoms whose configuration is right at the structure's positions."""
         restraint = cls.of(structure)
-        is_correct = ~np.isin(restraint.atoms[:, 0], restraint.wrong(structure.positions))
+        is_correct = ~np.isin(restraint.atoms[:, 0], restraint.inversions(structure.positions))
         return cls(restraint.atoms[is_correct], restraint.least[is_correct])
 
-    def wrong(self, x: Floats) -> Integers:
+    def inversions(self, x: Floats) -> Integers:
         """(n,) int: inverted stereocentres at positions x (na, 3), nm."""
         heavy = self.atoms[self.least == _HEAVY]
         return np.unique(heavy[volume(x[heavy]) < 0.0, 0])
 
-    def short(self, x: Floats) -> Integers:
+    def low_volumes(self, x: Floats) -> Integers:
         """(n,) int: chiral atoms that are pushed at positions x (na, 3), nm."""
         return np.unique(self.atoms[volume(x[self.atoms]) < self.least, 0])
 

@@ -26,23 +26,23 @@ from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.spring_model import Springs
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
-from protochain.minimisers.unthread import freeing
+from protochain.minimisers.unthread import unthread_stages
 from protochain.minimisers.verdict import rebuilt
 from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import threaded_rings
 
-UNUSUAL = 1e5
+STRAINED_TORQUE = 1e5
 """kJ/mol/rad. Largest torque from which on a start is strained; of fifty crystal and NMR structures without
 overlaps, as prepared, none has more than 6e4."""
 
-ORDINARY, ORDINARY_ALONE = 1e3, 1e4
+HANDOVER_TORQUE, HANDOVER_TORQUE_ALONE = 1e3, 1e4
 """kJ/mol/rad. Largest torque with which torsions take over from a start that was parted: where all atoms
 could move instead, and where they could not. At 1e4 torsions still fling a chain whose bonds are strained."""
 
-FIRM = 2000.0
+BACKBONE_TETHER = 2000.0
 """kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
 
-FARTHEST = 0.6
+LARGEST_MOVE = 0.6
 """nm that any atom may be moved to part overlaps: as far as a long side chain reaches."""
 
 SPRING = 4184.0
@@ -56,11 +56,11 @@ before they can press it apart."""
 SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
 """kJ/mol/nm^2, one after the other: torsions have long levers."""
 
-_PARTED_ENOUGH = 20.0
-_HELD_ENOUGH = 10.0
-_SETTLED = 2.0
+_OVERLAP_FORCE = 20.0
+_HEAVY_FORCE = 10.0
+_SIDE_CHAIN_FORCE = 2.0
 """kJ/mol/nm, RMS force: overlaps parted; all heavy atoms held; side chains settled."""
-_TURNED_ENOUGH = 300.0
+_TORSION_TORQUE = 300.0
 """kJ/mol/rad."""
 _PATIENCE = 60
 """Evaluations without a lower energy."""
@@ -85,19 +85,19 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
     return Springs(pairs, np.full(len(pairs), restraints.SOFT_STIFFNESS))
 
 
-def resolving_in_torsions(
+def torsion_clash_stages(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
     """Stages that resolve clashes in torsions, then turn the force field on in steps."""
     structure = space.chain.structure
     plan: list[Stage] = []
     if overlap:
-        plan.append(_soft(space, Sum([SoftRepulsion(structure), *_leashes(structure)]), 1.0))
-    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_TURNED_ENOUGH, tolerance), restraint)
-    return plan + [_held(stage, strength) for strength in SPRINGS_IN_TORSIONS]
+        plan.append(_soft_stage(space, Sum([SoftRepulsion(structure), *_leashes(structure)]), 1.0))
+    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_TORSION_TORQUE, tolerance), restraint)
+    return plan + [_with_springs(stage, strength) for strength in SPRINGS_IN_TORSIONS]
 
 
-def resolving_in_all_atoms(
+def all_atom_clash_stages(
     torsions: Torsions,
     space: Cartesian,
     energy: Energy,
@@ -112,24 +112,24 @@ def resolving_in_all_atoms(
     if overlap or threaded:
         bonded = bonded_part(energy)
         gentle: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
-        soft = _soft(torsions, Sum(gentle), 1.0)
+        soft = _soft_stage(torsions, Sum(gentle), 1.0)
         if bonded is not None:
-            soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
-        plan += [*freeing(soft, _where_atoms_overlap), soft] if threaded else [soft]
-    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_HELD_ENOUGH, tolerance), restraint)
-    settled = replace(stage, tolerance=max(_SETTLED, tolerance))
-    backbone = [_held(settled, strength, of_backbone(structure)) for strength in SPRINGS_ON_BACKBONE]
-    return [*plan, _held(stage, SPRING), *backbone]
+            soft = _soft_stage(space, Sum([bonded, *gentle]), _OVERLAP_FORCE)
+        plan += [*unthread_stages(soft, _where_atoms_overlap), soft] if threaded else [soft]
+    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_HEAVY_FORCE, tolerance), restraint)
+    settled = replace(stage, tolerance=max(_SIDE_CHAIN_FORCE, tolerance))
+    backbone = [_with_springs(settled, k, backbone_atoms(structure)) for k in SPRINGS_ON_BACKBONE]
+    return [*plan, _with_springs(stage, SPRING), *backbone]
 
 
-def unthreading(space: Cartesian, energy: Energy) -> list[Stage]:
+def unthreading_stages(space: Cartesian, energy: Energy) -> list[Stage]:
     """Stages that free threaded rings, moving all atoms; none if nothing is known of an energy's bonds."""
     bonded = bonded_part(energy)
     if bonded is None:
         return []
     gentle = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
-    soft = _soft(space, gentle, _PARTED_ENOUGH)
-    return [*freeing(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
+    soft = _soft_stage(space, gentle, _OVERLAP_FORCE)
+    return [*unthread_stages(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
 
 
 def _where_atoms_overlap(stage: Stage) -> Stage:
@@ -137,23 +137,23 @@ def _where_atoms_overlap(stage: Stage) -> Stage:
     return replace(stage, ready=lambda stage, at: bool(overlaps(structure, at.x)))
 
 
-def of_backbone(structure: Structure) -> NDArray[np.bool_]:
+def backbone_atoms(structure: Structure) -> NDArray[np.bool_]:
     """(na,) bool: heavy atoms of the protein's backbone."""
     return np.isin(structure.atom_name, ("N", "CA", "C", "O")) & ~structure.kept
 
 
 def soft_tethers(structure: Structure) -> Floats:
     """(na,) float, kJ/mol/nm^2: tethers while overlaps are parted."""
-    return read_only(np.where(of_backbone(structure), FIRM, restraints.SOFT_TETHER))
+    return read_only(np.where(backbone_atoms(structure), BACKBONE_TETHER, restraints.SOFT_TETHER))
 
 
 def _leashes(structure: Structure) -> list[Force]:
     x = structure.positions
     chirality = ChiralityRestraint.preserving(structure)
-    return [Tethers(x, soft_tethers(structure)), Bound(x, FARTHEST), chirality]
+    return [Tethers(x, soft_tethers(structure)), Bound(x, LARGEST_MOVE), chirality]
 
 
-def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
+def _soft_stage(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
     structure = _structure(space)
     method = Descent(LBFGS(TetheredModel(soft_tethers(structure), True)), StrongWolfe())
     return Stage(
@@ -161,15 +161,15 @@ def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage
     )
 
 
-def _held(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
+def _with_springs(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
     """Stage held by springs to where it starts, on all heavy atoms or on some."""
     atoms = _structure(stage.space).atom_element != "H" if atoms is None else atoms
     chirality = ChiralityRestraint.preserving(_structure(stage.space))
-    fit = partial(_hold, read_only(np.where(atoms, strength, 0.0)), chirality)
+    fit = partial(_fit_springs, read_only(np.where(atoms, strength, 0.0)), chirality)
     return replace(stage, fit=fit, name="held by springs")
 
 
-def _hold(weight: Floats, chirality: ChiralityRestraint, stage: Stage, x: Floats) -> Stage:
+def _fit_springs(weight: Floats, chirality: ChiralityRestraint, stage: Stage, x: Floats) -> Stage:
     springs = Tethers(x, weight)
     parts: list[Force] = [springs, chirality, *([] if stage.restraint is None else [stage.restraint])]
     assert isinstance(stage.space, Torsions | Cartesian)
@@ -188,13 +188,13 @@ def _structure(space: Space) -> Structure:
     return space.chain.structure if isinstance(space, Torsions) else space.structure
 
 
-def once_ordinary(stage: Stage, energy: Energy | None = None) -> Stage:
+def run_if_unstrained(stage: Stage, energy: Energy | None = None) -> Stage:
     """Stage in torsions that runs only where nothing overlaps and the largest torque is ordinary."""
-    fit = None if energy is None else partial(_rebuilt, energy)
-    return replace(stage, ready=partial(_is_ordinary, energy), fit=fit)
+    fit = None if energy is None else partial(_rebuild_stage, energy)
+    return replace(stage, ready=partial(_is_unstrained, energy), fit=fit)
 
 
-def _is_ordinary(energy: Energy | None, stage: Stage, at: Placement) -> bool:
+def _is_unstrained(energy: Energy | None, stage: Stage, at: Placement) -> bool:
     if overlaps(_structure(stage.space), at.x):
         return False
     space: Space = stage.space
@@ -202,10 +202,10 @@ def _is_ordinary(energy: Energy | None, stage: Stage, at: Placement) -> bool:
         space = _torsions_at(space, at.x)
         at = space.place(space.start(at.x))
     torque = space.residual(space.torque(at, (energy or stage.energy)(at.x)[1]))
-    return torque <= (ORDINARY_ALONE if energy is None else ORDINARY)
+    return torque <= (HANDOVER_TORQUE_ALONE if energy is None else HANDOVER_TORQUE)
 
 
-def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:
+def _rebuild_stage(energy: Energy, stage: Stage, x: Floats) -> Stage:
     space = _torsions_at(stage.space, x)
     return replace(stage, space=space, energy=energy.without_constants(space.chain.rigid_groups, x))
 

@@ -161,9 +161,9 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
 class Curvature:
     """Blocks of the Hessian's model."""
 
-    own: Floats  # (na, 9): On its diagonal, row by row.
+    atom_blocks: Floats  # (na, 9): On its diagonal, row by row.
     pairs: Integers  # (n, 2) int: Atoms that are coupled, the smaller index first.
-    shared: Floats  # (n, 9): Their blocks.
+    pair_blocks: Floats  # (n, 9): Their blocks.
 
 
 Stretches = tuple[Integers, Floats, Floats]
@@ -259,12 +259,12 @@ def springs_solver(
 
 
 def _solver(model: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
-    model.own[:, ::4] += added
+    model.atom_blocks[:, ::4] += added
     # Pairs of atoms that both move, as places among these.
     is_coupled = moving[model.pairs].all(axis=1)
     pairs = (np.cumsum(moving) - 1)[model.pairs[is_coupled]]
     order = elimination_order(int(moving.sum()), pairs)
-    factor = factorise(order, model.own[moving], pairs, model.shared[is_coupled])
+    factor = factorise(order, model.atom_blocks[moving], pairs, model.pair_blocks[is_coupled])
 
     def solve(torque: Floats) -> Floats:
         step = np.zeros((len(moving), 3))

@@ -20,7 +20,7 @@ NAMES = {
 """Names of judges by their engines. The native engine equals the Reference platform to 1e-10."""
 
 
-class Known:
+class CachedEnergy:
     """An energy that knows its values at two points, and what judges it: runs ask some of them again.
 
     Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
@@ -30,7 +30,7 @@ class Known:
     def __init__(self, energy: Energy, judge: str = defaults.JUDGE) -> None:
         self.energy = energy
         self.judging = energy.exact if judge == defaults.JUDGE else energy.reference
-        self._known: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
+        self._cache: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
         """First and last point: positions, those of the lists, energy and forces."""
 
     def __getattr__(self, name: str) -> Any:
@@ -43,20 +43,20 @@ class Known:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
-        for at, lists_at, (value, forces) in self._known:
+        for at, lists_at, (value, forces) in self._cache:
             if lists_at is self.energy.lists_at and np.array_equal(at, x):
                 return value, forces.copy()
         result = self.energy(x)
         if self.energy.lists_at is not None:
-            self._known[1:] = [(x.copy(), self.energy.lists_at, (result[0], result[1].copy()))]
+            self._cache[1:] = [(x.copy(), self.energy.lists_at, (result[0], result[1].copy()))]
         return result
 
     @part("judging")
-    def judged(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
+    def judge_at(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
         """Energy, kJ/mol, and forces (na, 3) at a start or another point x (na, 3), nm, by what judges."""
         if self.judging is self.energy:
-            if first and self._known and np.array_equal(self._known[0][0], x):
-                return self._known[0][2]
+            if first and self._cache and np.array_equal(self._cache[0][0], x):
+                return self._cache[0][2]
             if first:
                 self.energy.list_at(x)
             return self(x)

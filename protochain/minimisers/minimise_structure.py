@@ -38,8 +38,8 @@ from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
-from protochain.minimisers.start_warnings import Straying
-from protochain.minimisers.verdict import Judgement, judge, rebuilt, rejected, verdict
+from protochain.minimisers.start_warnings import StrayWatcher
+from protochain.minimisers.verdict import Judgement, describe_rejections, judge, rebuilt, verdict
 from protochain.validation.omega import twisted_bonds
 
 
@@ -137,7 +137,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.hold != Hold() and self.recipe.by_openmm:
+        if self.start_hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
                 f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"
             )
@@ -158,7 +158,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
         return not self.recipe.by_openmm and (usual if self.curvature is None else self.curvature)
 
     @property
-    def hold(self) -> Hold:
+    def start_hold(self) -> Hold:
         """Restraints to the start."""
         return Hold.of(self.restraint, self.max_rmsd)
 
@@ -168,7 +168,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
         return {
             "method": self.recipe.name,
             "tolerance": self.converged_at,
-            "restraint": self.hold.record(),
+            "restraint": self.start_hold.record(),
             "max_rmsd": self.max_rmsd,
             "hinges": chain.opened,
             "root": chain.root,
@@ -205,22 +205,22 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
 def _frame(start: Start, run: Minimisation) -> Frame:
     """Frame of the result; a fixed root holds it if the caller asked for one and only hinges turn."""
     fixed = start.chain.root == "fixed" and run.recipe.keeps_geometry
-    return frame_of(start.chain, start.energy, run.hold.place or ("a fixed root" if fixed else ""))
+    return frame_of(start.chain, start.energy, run.start_hold.place or ("a fixed root" if fixed else ""))
 
 
 def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
     """Whether nothing but fixed atoms, if there are any, holds a run in place."""
     if start.chain.moving.all():
         return not frame.held_by
-    return not run.hold.place and not knows_places(start.energy, start.chain.structure.positions)
+    return not run.start_hold.place and not knows_places(start.energy, start.chain.structure.positions)
 
 
 def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
-    chain, hold = start.chain, run.hold
+    chain, hold = start.chain, run.start_hold
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0
-    plan = run.recipe.plan(chain, start.known, reduced, run.converged_at, hold, run.seed, torque)
+    plan = run.recipe.plan(chain, start.cached_energy, reduced, run.converged_at, hold, run.seed, torque)
     if run.examines:
         plan = with_curvature(plan, _floats(start, run, record.frame))
     x = chain.structure.positions
@@ -249,7 +249,7 @@ def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
     """Say when a run from a crowded start goes far; nothing watches others."""
-    return Straying(start.chain.structure, record.warn) if start.is_crowded else lambda x: None
+    return StrayWatcher(start.chain.structure, record.warn) if start.is_crowded else lambda x: None
 
 
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
@@ -278,8 +278,8 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
-    restraint_values = measure_restraints(structure, run.hold.listed, at.x)
-    problems = [*rejected(structure, at.x), *describe_violations(restraint_values)]
+    restraint_values = measure_restraints(structure, run.start_hold.listed, at.x)
+    problems = [*describe_rejections(structure, at.x), *describe_violations(restraint_values)]
     status, ended = verdict(stop, met, residuals, structure, at.x, outcome.n_evaluations, left=problems)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
@@ -293,7 +293,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
         constant_terms=start.energy_of(run.recipe).left_out,
         q=at.q,
         x=x,
-        energy=start.known(at.x)[0],
+        energy=start.cached_energy(at.x)[0],
         status=status,
         ended=ended,
         n_iterations=outcome.n_iterations,
@@ -302,18 +302,18 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
         trace=trace,
         start=start.judgement,
         end=end,
-        judge=start.known.judge,
+        judge=start.cached_energy.judge,
         frame=record.frame,
         ca_rmsd_angstrom=record.frame.ca_rmsds(x)[0],
         tolerance=run.converged_at,
-        hold=run.hold,
+        hold=run.start_hold,
         seed=run.seed,
         restraints=restraint and (restraint(start.pose.x)[0], restraint(at.x)[0]),
         restraint_values=restraint_values,
         timings=until_now(),
         lowest_eigenvalue=lowest,
-        frame_rows=read_only(list(record.kept()), np.int64),
-        frames=read_only(list(record.kept().values()), np.float32),
+        frame_rows=read_only(list(record.recorded_frames()), np.int64),
+        frames=read_only(list(record.recorded_frames().values()), np.float32),
     )
 
 
@@ -328,11 +328,11 @@ def _select_end(start: Start, outcome: Outcome) -> tuple[Pose, Judgement]:
     if np.array_equal(at.q, chain.q0):
         # No digit is rounded anew: the energies are those of the run, or of the start.
         at = replace(at, x=chain.structure.positions)
-    end = judge(chain, at, start.known.judged(at.x), outcome.restraint)
+    end = judge(chain, at, start.cached_energy.judge_at(at.x), outcome.restraint)
     restraint = outcome.restraint or (lambda x: (0.0, x))
     if end.energy + restraint(at.x)[0] <= start.judgement.energy + restraint(start.pose.x)[0]:
         return at, end
-    return start.pose, judge(start.chain, start.pose, start.judged, outcome.restraint)
+    return start.pose, judge(start.chain, start.pose, start.start_values, outcome.restraint)
 
 
 def _describe_residuals(

@@ -92,7 +92,7 @@ class Space(Protocol):
     def torque(self, at: Placement, forces: Floats) -> Floats:
         """Torques (n_v,) of forces (na, 3) on the atoms at a placement."""
 
-    def carried(self, torque: Floats, at: Placement, to: Placement) -> Floats:
+    def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
         """Torques (n_v,) along the freedoms at a placement, along those at another."""
 
     def residual(self, torque: Floats) -> float:

@@ -19,11 +19,11 @@ from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.clash_resolution import (
-    UNUSUAL,
+    STRAINED_TORQUE,
     TetheredModel,
-    once_ordinary,
-    resolving_in_all_atoms,
-    resolving_in_torsions,
+    all_atom_clash_stages,
+    run_if_unstrained,
+    torsion_clash_stages,
 )
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
@@ -37,7 +37,7 @@ from protochain.minimisers.newton import Newton, PseudoTransient
 from protochain.minimisers.problem import Force, Space
 from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, of_moving, with_reference
+from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, moving_part, with_reference
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 from protochain.validation.rings import threaded_rings
 
@@ -202,15 +202,15 @@ class Recipe:
         parts = overlap
         if self.parts_overlaps and self.in_torsions:
             # Turned bonds have long levers.
-            parts |= not max_torque <= UNUSUAL
+            parts |= not max_torque <= STRAINED_TORQUE
         elif self.runs and not self.in_torsions:
             # Not even free atoms come out of a ring by themselves.
             parts |= bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
-            plan += resolving_in_torsions(torsions, reduced, tolerance, restraints[0], overlap)
+            plan += torsion_clash_stages(torsions, reduced, tolerance, restraints[0], overlap)
         elif parts:
-            plan += resolving_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
+            plan += all_atom_clash_stages(torsions, atoms, energy, tolerance, restraints[0], overlap)
         for run in self.runs:
             space, run_energy = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.by_springs if terms is None and run.by_springs else run.method
@@ -220,9 +220,9 @@ class Recipe:
                 stages = replace(run, method=method).stages(space, run_energy, tolerance, restraint)
                 if parts and run.in_torsions:
                     all_terms = None if self.keeps_geometry else energy
-                    stages = [once_ordinary(stage, all_terms) for stage in stages]
+                    stages = [run_if_unstrained(stage, all_terms) for stage in stages]
                 if not run.in_torsions and not chain.moving.all():
-                    stages = [of_moving(stage, chain.moving) for stage in stages]
+                    stages = [moving_part(stage, chain.moving) for stage in stages]
                 plan += stages
         return plan
 

@@ -82,11 +82,13 @@ def _n_moving(solution: Any) -> int:
     return int(moved.sum())
 
 
-SHOWN = tuple(column for column in COLUMNS if column.heading and column not in LIGANDS)
+SHORT_COLUMNS = tuple(column for column in COLUMNS if column.heading and column not in LIGANDS)
 """Columns of short tables."""
 
 
-def shown(records: Iterable[Mapping[Any, Any]], columns: Iterable[Column] = SHOWN) -> tuple[Column, ...]:
+def short_columns(
+    records: Iterable[Mapping[Any, Any]], columns: Iterable[Column] = SHORT_COLUMNS
+) -> tuple[Column, ...]:
     """Columns of a short table of records, with those of ligands if there are any."""
     rmsds = [record.get(LIGANDS[0].key) for record in records]
     return (*columns, *(LIGANDS if any(value is not None and value == value for value in rmsds) else ()))

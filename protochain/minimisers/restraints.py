@@ -133,14 +133,14 @@ class UserRestraint:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; an error names the callable that returns anything else."""
-        return answer(self.function, x, self._named)
+        return answer(self.function, x, self._name)
 
     def check(self, x: Floats) -> None:
         """Refuse forces that are not those of the energy."""
-        check_forces(self.function, x, self._named)
+        check_forces(self.function, x, self._name)
 
     @property
-    def _named(self) -> str:
+    def _name(self) -> str:
         return f"restraint {name_of(self.function)}"
 
 

@@ -141,8 +141,8 @@ class Curvature:
     def step(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State after one more product, the eigenvalue, or the step off; None when all is done."""
         if state.value is None:
-            extended = self._sought(problem, state)
-            return self._measured(problem, state) if extended is None else extended
+            extended = self._extend_subspace(problem, state)
+            return self._measure_eigenvalue(problem, state) if extended is None else extended
         if not state.is_saddle or state.confirmed:
             return None
         # An energy in single precision, or a limit of the run, may know of no way down.
@@ -151,7 +151,7 @@ class Curvature:
             return replace(state, is_saddle=lower is not None, confirmed=True)
         return replace(state, at=lower, confirmed=True, left=True)
 
-    def _sought(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
+    def _extend_subspace(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with one more vector; None if it has enough."""
         solve, at, n = state.preconditioner.solve, state.at, len(state.vectors)
         rigid = problem.space.motions_of_whole(at) if self.floats else ()
@@ -175,7 +175,7 @@ class Curvature:
             return replace(state, value=np.nan)
         return _add_vector(state, vector, product)
 
-    def _measured(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
+    def x_(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with the eigenvalue; None if there is no direction to turn in."""
         if state.direction is None:
             return None
@@ -194,7 +194,7 @@ class Curvature:
 def _torque(problem: Problem, at: Evaluation, step: Floats) -> Floats:
     """Torque (n_v,) after a step (n_v,), along the freedoms before it."""
     after = problem.evaluate(problem.move(at.q, step))
-    return problem.space.carried(after.torque, after.pose, at.pose)
+    return problem.space.transport_torque(after.torque, after.pose, at.pose)
 
 
 def _is_shoulder(turn: Floats, *torques: Floats) -> bool:

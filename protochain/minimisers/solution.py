@@ -23,7 +23,7 @@ from protochain.energies.protocol import Energy
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import COLUMNS
 from protochain.minimisers.restraints import Hold
-from protochain.minimisers.start_warnings import how_far
+from protochain.minimisers.start_warnings import describe_rmsd
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
@@ -65,7 +65,7 @@ class Recorder:
     watch: Watcher | None = None
     rows: list[dict[str, float]] = field(default_factory=list)
     frames: dict[int, NDArray[np.float32]] = field(default_factory=dict)
-    every: int = 1
+    interval: int = 1
     last: Floats | None = None
     alphas: list[Floats] = field(default_factory=list)
     started: float = field(default_factory=perf_counter)
@@ -104,13 +104,13 @@ class Recorder:
     def _frame(self, row: int, x: Floats) -> None:
         """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""
         self.last = x
-        if row % self.every == 0:
+        if row % self.interval == 0:
             self.frames[row] = self.frame(x).astype(np.float32)
         if len(self.frames) > N_FRAMES:
-            self.every *= 2
-            self.frames = {k: positions for k, positions in self.frames.items() if k % self.every == 0}
+            self.interval *= 2
+            self.frames = {k: positions for k, positions in self.frames.items() if k % self.interval == 0}
 
-    def kept(self) -> dict[int, NDArray[np.float32]]:
+    def recorded_frames(self) -> dict[int, NDArray[np.float32]]:
         """Positions by their row of the trace, the last among them."""
         if self.last is None:
             return self.frames
@@ -329,7 +329,7 @@ class Solution(RunEnds):
     def message(self) -> str:
         """Status and residual in words; beyond 2 angstrom (C-alpha RMSD) also how far the start is."""
         turned = self.frame.start is not self.chain.structure
-        far = how_far(self.ca_rmsd_angstrom, self.recipe, self.frame.start, turned)
+        far = describe_rmsd(self.ca_rmsd_angstrom, self.recipe, self.frame.start, turned)
         return f"{self.ended}; {far}" if far else self.ended
 
     @property

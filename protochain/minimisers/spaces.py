@@ -84,7 +84,7 @@ class Torsions:
         """Scaled torques J^T f (n_v,) of forces (na, 3) at a pose."""
         return np.asarray(self.scale * pull_back(self.chain, _pose(at), forces))
 
-    def carried(self, torque: Floats, at: Placement, to: Placement) -> Floats:
+    def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
         """Torques (n_v,) as they are: the same freedoms everywhere."""
         return torque
 
@@ -268,7 +268,7 @@ class Cartesian:
         """Forces (3 na,) on the atoms that may move, in their frames, and zero on the others."""
         return self.inward(at.x, np.where(self.moving[:, None], forces, 0.0))
 
-    def carried(self, torque: Floats, at: Placement, to: Placement) -> Floats:
+    def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
         """Forces (3 na,) in the frames at one placement, in those at another."""
         return self.inward(to.x, self.outward(at.x, torque))
 

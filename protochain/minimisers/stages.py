@@ -78,7 +78,7 @@ class Stage:
     ends: tuple[Stop, ...] = (Stop.BUDGET, Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
-def parting(space: Torsions) -> Stage:
+def overlap_stage(space: Torsions) -> Stage:
     """Stage that separates overlapping atoms by soft repulsion in torsions, without the force field."""
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
@@ -99,7 +99,7 @@ def with_reference(stage: Stage) -> list[Stage]:
     return [stage, exact]
 
 
-def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
+def moving_part(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
     """Stage in all atoms whose energy leaves out what is constant among those that stay where it begins."""
     groups = np.where(moving, -1, 0)[:, None]
 
@@ -166,7 +166,7 @@ def walk(
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             record(at, stage, problem.n_evaluations)
 
-        snapshot = progress.known(stage, problem)
+        snapshot = progress.first_snapshot(stage, problem)
         try:
             ending = run(problem, stage.method, progress.q, stage.tolerance, stage.patience, note, snapshot)
         except (BudgetSpentError, KeyboardInterrupt) as error:
@@ -209,7 +209,7 @@ class _Walk:
         self.space = stage.space
         return stage
 
-    def known(self, stage: Stage, problem: Problem) -> Snapshot | None:
+    def first_snapshot(self, stage: Stage, problem: Problem) -> Snapshot | None:
         """What a stage goes on from: a saved run, or, if it only looks, the last point of the one before."""
         if self.waiting is None and stage.looks and self.before is not None:
             return _reuse_evaluation(problem, *self.before, self.q)

@@ -12,7 +12,7 @@ from protochain.core.arrays import Floats
 from protochain.energies.on_device import begun
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
-from protochain.minimisers.judging import Known
+from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import Cartesian, Torsions, spaces
@@ -37,14 +37,14 @@ class Start:
         return replace(pose(self.chain, self.chain.q0), x=self.chain.structure.positions)
 
     @cached_property
-    def known(self) -> Known:
+    def cached_energy(self) -> CachedEnergy:
         """The energy, as runs ask it and their judge does."""
-        return Known(self.energy, self.judge)
+        return CachedEnergy(self.energy, self.judge)
 
     @cached_property
-    def judged(self) -> tuple[float, Floats]:
+    def start_values(self) -> tuple[float, Floats]:
         """Energy, kJ/mol, and forces (na, 3) of the start, by the judge."""
-        return self.known.judged(self.pose.x, first=True)
+        return self.cached_energy.judge_at(self.pose.x, first=True)
 
     @cached_property
     def is_crowded(self) -> bool:
@@ -54,7 +54,7 @@ class Start:
     @cached_property
     def judgement(self) -> Judgement:
         """Energy and residuals of the start in double precision."""
-        return judge(self.chain, self.pose, self.judged)
+        return judge(self.chain, self.pose, self.start_values)
 
     def of(self, recipe: Recipe, judge: str = defaults.JUDGE) -> "Start":
         """Start of a method and a judge: of one that moves masses, a root that ``auto`` has fixed is free."""
@@ -71,20 +71,20 @@ class Start:
         return spaces(self.chain, near_terms(self.energy))
 
     @cached_property
-    def reduced(self) -> Energy:
+    def reduced_energy(self) -> Energy:
         """Energy without the terms that are constant in the chain."""
         return self.energy.without_constants(self.chain.rigid_groups, self.pose.x)
 
     def energy_of(self, recipe: Recipe) -> Energy:
         """Energy that the first run of a method evaluates."""
-        return self.reduced if recipe.in_torsions else self.energy
+        return self.reduced_energy if recipe.in_torsions else self.energy
 
     def warm(self, recipe: Recipe) -> None:
         """Compile kernels and create contexts before the clock starts."""
         # The order of sums depends on the neighbour lists: build those of the start.
         self.energy.list_at(self.pose.x)
         # Elsewhere the run evaluates its start itself.
-        if recipe.in_torsions or self.known.judging is not self.energy:
+        if recipe.in_torsions or self.cached_energy.judging is not self.energy:
             _ = self.judgement
         if recipe.in_torsions:
             _ = self._warm_in_torsions
@@ -92,22 +92,22 @@ class Start:
             _ = self._warm_atoms
         for run in recipe.runs:
             if hasattr(run.method, "warm"):
-                run.method.warm(Problem(self._spaces[0], self.reduced, 1), self._warm_in_torsions)
+                run.method.warm(Problem(self._spaces[0], self.reduced_energy, 1), self._warm_in_torsions)
 
     @cached_property
     def _warm_in_torsions(self) -> Evaluation:
         torsions = self._spaces[0]
-        at = evaluate(torsions, self.reduced, torsions.move(self.chain.q0, np.zeros(self.chain.n_v)))
+        at = evaluate(torsions, self.reduced_energy, torsions.move(self.chain.q0, np.zeros(self.chain.n_v)))
         torsions.stiffness(at)(at.torque)
         torsions.inertia(at)(at.torque)
         # The second evaluation checks whether the neighbour lists still hold.
-        self.reduced(self.pose.x)
+        self.reduced_energy(self.pose.x)
         return at
 
     @cached_property
     def _warm_atoms(self) -> None:
         # The run begins with the same evaluation.
         atoms = self._spaces[1]
-        at = evaluate(atoms, self.known, self.pose.x.ravel())
+        at = evaluate(atoms, self.cached_energy, self.pose.x.ravel())
         if self.energy.device == "cpu":
             atoms.stiffness(at)(at.torque)

@@ -20,7 +20,7 @@ FAR = 2.0
 _SHOWN_RINGS = 3
 
 
-def outlook(structure: Structure, recipe: Recipe) -> list[str]:
+def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
     """Say what is wrong with a start, and what a method does about it first."""
     crowd = len(overlaps(structure, structure.positions))
     threaded, violation_counts = threaded_rings(structure), violations(structure)
@@ -52,21 +52,21 @@ def is_crowded(structure: Structure) -> bool:
 
 
 @dataclass
-class Straying:
+class StrayWatcher:
     """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far."""
 
     structure: Structure  # The start.
-    tell: Callable[[str], None]  # Given the line.
-    told: bool = False  # Whether it has said so.
+    report: Callable[[str], None]  # Given the line.
+    is_reported: bool = False  # Whether it has said so.
 
     def __call__(self, x: Floats) -> None:
         """Look at positions (na, 3) of the run."""
-        if not self.told and (line := strayed(self.structure, x)):
-            self.told = True
-            self.tell(line)
+        if not self.is_reported and (line := describe_stray(self.structure, x)):
+            self.is_reported = True
+            self.report(line)
 
 
-def strayed(structure: Structure, x: Floats) -> str:
+def describe_stray(structure: Structure, x: Floats) -> str:
     """Say how far positions (na, 3) are from a start with overlaps; empty within ``FAR``."""
     alpha = structure.alpha_carbons
     if len(alpha) <= 2 or not np.isfinite(x[alpha]).all():
@@ -79,7 +79,7 @@ _FROM_OVERLAPS = "from a start whose atoms overlapped; relax keeps the fold"
 _HOLD = "a restraint or a largest RMSD"
 
 
-def how_far(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
+def describe_rmsd(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
     """Say how far an end is from its start, and what keeps a run nearer: away angstrom."""
     if not away > FAR or len(start.alpha_carbons) <= 2:
         return ""

@@ -20,7 +20,7 @@ from protochain.minimisers.minimise_structure import minimise
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import parting, walk
+from protochain.minimisers.stages import overlap_stage, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure import Structure
 
@@ -182,14 +182,14 @@ def explore(
     """
     MinimiseSettings(seed=seed)
     StartSettings(n_starts=n_starts, spread=spread)
-    refuse_held(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
+    refuse_restraints(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain, energy = with_energy(chain, energy)
     solutions: list[Solution] = []
     for k in range(n_starts):
         random = np.random.default_rng([seed, k])
         try:
-            start = perturbed(chain, spread, random) if k else chain
+            start = perturb_dihedrals(chain, spread, random) if k else chain
             solution = _superpose_on_start(minimise(start, energy, method, seed=seed, **settings), chain)
         except KeyboardInterrupt:
             if not solutions:
@@ -203,7 +203,7 @@ def explore(
     return Starts(chain, tuple(solutions))
 
 
-def refuse_held(restraint: Any, max_rmsd: float) -> None:
+def refuse_restraints(restraint: Any, max_rmsd: float) -> None:
     """Refuse what holds a run near its start, for many starts."""
     if Hold.of(restraint, max_rmsd) != Hold():
         raise ProtochainError(
@@ -214,16 +214,16 @@ def refuse_held(restraint: Any, max_rmsd: float) -> None:
         )
 
 
-def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
+def perturb_dihedrals(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
     """Turn every hinge by a normal deviate (standard deviation in rad), then separate overlapping atoms."""
     q = chain.q0.copy()
     turns = np.array([not hinge.is_angle for hinge in chain.hinges])
     turning = chain.tree.q_start[chain.hinge_body[turns]]
     q[turning] += random.normal(scale=spread, size=len(turning))
-    return parted(_move_chain(chain, q))
+    return separate_overlaps(_move_chain(chain, q))
 
 
-def parted(chain: Chain) -> Chain:
+def separate_overlaps(chain: Chain) -> Chain:
     """Separate overlapping atoms by soft repulsion in torsions.
 
     Parameters
@@ -237,7 +237,7 @@ def parted(chain: Chain) -> Chain:
         The same bodies, moved.
     """
     x = chain.structure.positions
-    return _move_chain(chain, walk([parting(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
+    return _move_chain(chain, walk([overlap_stage(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
 
 
 def _move_chain(chain: Chain, q: np.ndarray) -> Chain:

@@ -49,7 +49,7 @@ class Push:
         return 0.5 * _STIFFNESS * remaining**2, forces
 
 
-def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
+def unthread_stages(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
     """Stages that free threaded rings, of each of which all but the first run where one is left."""
     stages = []
     for attempt in range(ATTEMPTS):
@@ -61,12 +61,12 @@ def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
 
 
 def _is_threaded(stage: Stage, at: Placement) -> bool:
-    return bool(threaded_rings(_soft(stage).structure, at.x))
+    return bool(threaded_rings(_repulsion_of(stage).structure, at.x))
 
 
 def _push_bonds(attempt: int, stage: Stage, x: Floats) -> Stage:
     """Stage that pushes each threading bond out over the side of its ring whose turn it is."""
-    soft = _soft(stage)
+    soft = _repulsion_of(stage)
     assert isinstance(stage.energy, Sum)
     rings = threaded_rings(soft.structure, x)
     residue = soft.structure.atom_residue
@@ -77,7 +77,7 @@ def _push_bonds(attempt: int, stage: Stage, x: Floats) -> Stage:
     return replace(stage, energy=Sum([passing, *terms, *pushes]))
 
 
-def _soft(stage: Stage) -> SoftRepulsion:
+def _repulsion_of(stage: Stage) -> SoftRepulsion:
     assert isinstance(stage.energy, Sum)
     return next(part for part in stage.energy.parts if isinstance(part, SoftRepulsion))
 

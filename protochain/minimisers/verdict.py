@@ -103,7 +103,7 @@ def verdict(
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured."""
     # x (na, 3) nm.
-    left = rejected(structure, x) if left is None else left
+    left = describe_rejections(structure, x) if left is None else left
     if moved := _changed_metal_bonds(structure, x):
         measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {listed(moved, 3)}"
     status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
@@ -130,7 +130,7 @@ def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:
     return lines
 
 
-def rejected(structure: Structure, x: Floats) -> list[str]:
+def describe_rejections(structure: Structure, x: Floats) -> list[str]:
     """Describe what no result may have: mirror images, other isomers, chains that stand still, faults."""
     # x (na, 3) nm.
     problems = [

@@ -42,7 +42,7 @@ class Problems:
     @cached_property
     def inversions(self) -> Integers:
         """(n,) int: inverted stereocentres."""
-        return ChiralityRestraint.of(self.structure).wrong(self.x)
+        return ChiralityRestraint.of(self.structure).inversions(self.x)
 
     @cached_property
     def peptides(self) -> Integers:

@@ -22,12 +22,12 @@ from protochain.core.timings import timed, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import begun
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.minimisers.judging import Known
+from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
-from protochain.minimisers.verdict import Status, rejected, verdict
+from protochain.minimisers.verdict import Status, describe_rejections, verdict
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.problems import Problems
@@ -123,7 +123,7 @@ def relax_structure(
     energy = begun(energy, structure.positions)
     first = _repack(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    judged: Any = Known(energy)
+    judged: Any = CachedEnergy(energy)
     restraint_list = settings.restraints
     user_restraints = (Restraints.of(first, restraint_list),) if restraint_list else ()
     relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, mobile, user_restraints)
@@ -134,7 +134,7 @@ def relax_structure(
     end = best_round(ends)
     frame = Frame(structure, held_by)
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any() or user_restraints
-    value, forces = judged.judged(end.x)
+    value, forces = judged.judge_at(end.x)
     space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
     force = space.residual(space.torque(space.place(space.start(end.x)), total))
     restraint_values = user_restraints[0].measure(end.x) if user_restraints else ()
@@ -149,7 +149,7 @@ def relax_structure(
         best=ends.index(end),
         status=status,
         message=message,
-        energy_start=judged.judged(structure.positions, first=True)[0],
+        energy_start=judged.judge_at(structure.positions, first=True)[0],
         energy_end=value,
         rms_force=force,
         judge=judged.judge,
@@ -222,7 +222,7 @@ def _repack(
 
 
 def _verdict(
-    structure: Structure, energy: Known, settings: RelaxSettings, end: RoundEnd, force: float,
+    structure: Structure, energy: CachedEnergy, settings: RelaxSettings, end: RoundEnd, force: float,
     restraint_values: tuple[RestraintValue, ...],
 ) -> tuple[Status, str]:  # fmt: skip
     tolerance = settings.strength.tolerance
@@ -244,7 +244,7 @@ def _verdict(
 def _newly_inverted(problems: Problems) -> list[str]:
     """Stereocentres that were correct at the start and are inverted now. Corrected centres are ignored."""
     s = problems.structure
-    return atoms_named(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).wrong(s.positions)))
+    return atoms_named(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).inversions(s.positions)))
 
 
 def _newly_reversed(problems: Problems) -> Integers:
@@ -260,7 +260,7 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 
 def describe_problems(problems: Problems) -> list[str]:
     """Names of the remaining problems."""
-    lines = rejected(problems.structure, problems.x)
+    lines = describe_rejections(problems.structure, problems.x)
     lines += [listed([*map(str, problems.rings)], 2)] if problems.rings else []
     twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
     lines += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []

@@ -14,7 +14,7 @@ from protochain.core.graph import both_ways
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.minimisers.clash_resolution import TetheredModel, unthreading
+from protochain.minimisers.clash_resolution import TetheredModel, unthreading_stages
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
@@ -146,7 +146,7 @@ class Relaxer:
         springs = [self._springs(share, *strength) for strength in strengths]
         plan = [*(self._first_stages(springs[0]) if not before else []), *self._correction_stages(springs[0])]
         plan += [stage for tethers in springs for stage in self._force_field_stages(tethers)]
-        if threaded and (freeing := unthreading(self._space, self.energy)):
+        if threaded and (freeing := unthreading_stages(self._space, self.energy)):
             free = self._walk_stages(freeing, x, before)
             x, freed = free.x, free.n_evaluations
             if free.stop is Stop.INTERRUPTED:
@@ -219,7 +219,7 @@ class Relaxer:
             atoms = np.concatenate([sugars, *(ligand.atoms for ligand in s.ligands)])
             on = replace(stage, tolerance=_TURNED)
             stages += [
-                replace(on, ready=lambda _, at: bool(np.isin(atoms, self.chirality.short(at.x)).any()))
+                replace(on, ready=lambda _, at: bool(np.isin(atoms, self.chirality.low_volumes(at.x)).any()))
             ]
         return stages
 

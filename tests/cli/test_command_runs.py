@@ -13,13 +13,13 @@ from fixtures.command_line import is_held, refusal, run
 from fixtures.molecules import ring
 
 from protochain.cli import options, terminal
-from protochain.minimisers.record import SHOWN
+from protochain.minimisers.record import SHORT_COLUMNS
 from protochain.structure.write import as_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 COMPARE = importlib.import_module("protochain.cli.compare")
 S = ring()
-KEYS = [column.key for column in SHOWN]
+KEYS = [column.key for column in SHORT_COLUMNS]
 
 
 class Solution:

@@ -9,9 +9,9 @@ from fixtures.texts import numbers
 
 from protochain.cli import terminal
 from protochain.cli.rows import print_rows
-from protochain.minimisers.record import SHOWN
+from protochain.minimisers.record import SHORT_COLUMNS
 
-KEYS = [column.key for column in SHOWN]
+KEYS = [column.key for column in SHORT_COLUMNS]
 LARGE = {
     "interrupted": "interrupted", 123456.781: "123456.8", -98765.432: "-98765.4", 1234.561: "1234.6",
     12345.671: "12346", 12.341: "12.34", 5000: "5000", 234.567: "234.57",
@@ -48,7 +48,7 @@ def test_a_table_has_a_row_for_each_record_and_their_messages_below(
     assert table[-1].split() == ["own", "converged", *["-"] * (len(values) - 1)]
     assert "".join(line.split()[0] for line in table[at:-1] if line.split()) == method
     headings = " ".join(" ".join(table[:at]).replace("/", " ").split())
-    for column in SHOWN:
+    for column in SHORT_COLUMNS:
         for word in (column.short or column.heading).split():
             assert word in headings
 

@@ -21,7 +21,7 @@ from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.lanes import LANES
 from protochain.energies.native.layout import CHUNKS, W
 from protochain.energies.native.tree import FIRST, LEFT, SKIN, plant, screened_pairs
-from protochain.minimisers.judging import Known
+from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.minimise_settings import JUDGES
 
 SAMPLE = "1ake.pdb.gz"
@@ -190,8 +190,8 @@ def test_all_pairs_judge_a_tree():
     x = load(SAMPLE).positions
     tree = energy().by_tree(Opening(0.6, 4, 6.0))
     for judge in JUDGES:
-        known = Known(tree, judge)
-        value, _ = known.judged(x)
+        known = CachedEnergy(tree, judge)
+        value, _ = known.judge_at(x)
         assert value == pytest.approx(energy()(x)[0], rel=ROUND_OFF if judge == "auto" else 1e-8)
         assert abs(value - tree(x)[0]) > 1e-3 and ("native" in known.judge) is (judge == "auto")
     assert len(tree.errors) == 2 and "differ" in tree.reason
@@ -207,15 +207,15 @@ def test_the_sum_by_which_a_tree_was_chosen_judges_its_start(monkeypatch):
 
     assert tree.opening is not None
     monkeypatch.setattr(NativeEnergy, "__call__", noted)
-    known = Known(tree)
-    value, forces = known.judged(x, first=True)
+    known = CachedEnergy(tree)
+    value, forces = known.judge_at(x, first=True)
     assert asked == []
     anew = energy()(x)
     assert value == anew[0] and np.array_equal(forces, anew[1])
     moved = x + np.random.default_rng(5).normal(0.0, 1e-3, x.shape)
-    assert known.judged(moved)[0] == pytest.approx(energy()(moved)[0], rel=ROUND_OFF)
+    assert known.judge_at(moved)[0] == pytest.approx(energy()(moved)[0], rel=ROUND_OFF)
     assert tree.exact in asked
-    by_reference, _ = Known(tree, "reference").judged(x, first=True)
+    by_reference, _ = CachedEnergy(tree, "reference").judge_at(x, first=True)
     assert by_reference != value == pytest.approx(by_reference, rel=1e-8)
 
 

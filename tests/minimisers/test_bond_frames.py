@@ -30,7 +30,7 @@ def test_what_turns_with_the_molecule_is_the_same_in_its_frames():
     assert space.move(after.q, its).reshape(-1, 3) == pytest.approx(
         space.move(at.q, step).reshape(-1, 3) @ turn.T, abs=1e-11
     )
-    assert space.carried(after.torque, after.pose, at.pose) == pytest.approx(
+    assert space.transport_torque(after.torque, after.pose, at.pose) == pytest.approx(
         space.inward(at.x, e(x)[1]), abs=1e-9
     )
 

@@ -17,14 +17,14 @@ from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, spring_model, verdict
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.minimisers.clash_resolution import resolving_in_all_atoms, resolving_in_torsions
+from protochain.minimisers.clash_resolution import all_atom_clash_stages, torsion_clash_stages
 from protochain.minimisers.curvature import near_terms, springs_solver
 from protochain.minimisers.metrics import Damped
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.restraints import Bound, SoftRepulsion
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
-from protochain.minimisers.start_warnings import FAR, Straying, is_crowded, outlook, strayed
+from protochain.minimisers.start_warnings import FAR, StrayWatcher, describe_start, describe_stray, is_crowded
 from protochain.minimisers.unthread import Push, push_of
 from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
@@ -146,7 +146,7 @@ def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):
     torsions, atoms = spaces(c)
     told = []
     done = walk(
-        resolving_in_all_atoms(torsions, atoms, e, 10.0, None, True), planted.positions, 2000, None,
+        all_atom_clash_stages(torsions, atoms, e, 10.0, None, True), planted.positions, 2000, None,
         lambda at, stage, n: told.append(stage.name),
     )  # fmt: skip
     assert threaded_rings(planted) and not threaded_rings(planted, done.x)
@@ -167,10 +167,10 @@ def test_overlaps_are_parted_near_the_start(method):
     c, e = pc.build_chain(s), energy("1vii.pdb")
     torsions, atoms = spaces(c)
     if method == "lbfgs":
-        plan, limit = resolving_in_torsions(torsions, e, 10.0, None, True), 1.0
+        plan, limit = torsion_clash_stages(torsions, e, 10.0, None, True), 1.0
     else:
         # Before the restraints of side chains are removed.
-        plan, limit = resolving_in_all_atoms(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
+        plan, limit = all_atom_clash_stages(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
     done = walk(plan, c.structure.positions, 3000, None, lambda *_: None)
     assert not overlaps(s, done.x) and moved(s, done.x) < limit
     lengths = [np.linalg.norm(np.diff(x[s.bonds], axis=1), axis=2) for x in (done.x, s.positions)]
@@ -201,13 +201,13 @@ def test_a_run_from_overlaps_goes_on_from_any_stage_as_if_it_had_never_stopped(t
 
 def test_straying_is_told_once_and_at_once():
     s, told = load("1l2y.pdb"), []
-    look = Straying(s, told.append)
+    look = StrayWatcher(s, told.append)
     middle = s.positions[s.alpha_carbons].mean(axis=0)
     size = 10.0 * np.sqrt(np.mean(np.sum((s.positions[s.alpha_carbons] - middle) ** 2, axis=1)))
     for share in (0.0, 0.95, 1.05, 1.5):
         x = middle + (1.0 + share * FAR / size) * (s.positions - middle)
         look(x)
-        assert len(told) == (share > 1.0) == bool(strayed(s, x))
+        assert len(told) == (share > 1.0) == bool(describe_stray(s, x))
     assert told == ["2.1 angstrom from a start whose atoms overlapped; relax keeps the fold"]
 
 
@@ -243,9 +243,9 @@ def test_a_watcher_or_a_warning_says_that_a_run_strays_and_the_message_too():
 
 
 def test_what_is_wrong_with_a_start_is_said_before(planted):
-    assert outlook(load("1l2y.pdb"), RECIPES["hybrid"]) == [] and not is_crowded(load("1l2y.pdb"))
+    assert describe_start(load("1l2y.pdb"), RECIPES["hybrid"]) == [] and not is_crowded(load("1l2y.pdb"))
     assert is_crowded(planted)
-    first, *rings, last = outlook(planted, RECIPES["hybrid"])
+    first, *rings, last = describe_start(planted, RECIPES["hybrid"])
     assert first.startswith(
         f"{len(overlaps(planted, planted.positions))} pairs of atoms overlap; violations in "
     )
@@ -304,6 +304,6 @@ def test_a_clash_resolution_inverts_no_stereocentre(shift, tmp_path):
 def test_only_right_stereocentres_are_preserved():
     s = models.shaken(load("1ubq.pdb"), 0.25, seed=1)
     every, right = ChiralityRestraint.of(s), ChiralityRestraint.preserving(s)
-    wrong = every.wrong(s.positions)
-    assert len(wrong) and not len(right.wrong(s.positions))
+    wrong = every.inversions(s.positions)
+    assert len(wrong) and not len(right.inversions(s.positions))
     assert {*right.atoms[:, 0]} == {*every.atoms[:, 0]} - {*wrong.tolist()}

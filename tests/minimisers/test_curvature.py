@@ -62,8 +62,8 @@ def shaken(name="ala10.pdb", seed=0, size=0.01):
 def dense_of(at, n):
     dense = np.zeros((n, 3, n, 3))
     for i in range(n):
-        dense[i, :, i] = at.own[i].reshape(3, 3)
-    for (i, j), block in zip(at.pairs, at.shared.reshape(-1, 3, 3), strict=True):
+        dense[i, :, i] = at.atom_blocks[i].reshape(3, 3)
+    for (i, j), block in zip(at.pairs, at.pair_blocks.reshape(-1, 3, 3), strict=True):
         dense[i, :, j] += block
         dense[j, :, i] += block.T
     return dense.reshape(3 * n, 3 * n)

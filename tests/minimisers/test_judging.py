@@ -11,7 +11,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.core.errors import ProtochainError
 from protochain.energies.native.evaluation import Evaluation
-from protochain.minimisers.judging import Known
+from protochain.minimisers.judging import CachedEnergy
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
 
@@ -36,7 +36,7 @@ def points():
 
 def test_the_first_and_the_last_point_are_known():
     energy = Counting(np.zeros(3))
-    known, (one, two, three) = Known(energy), points()
+    known, (one, two, three) = CachedEnergy(energy), points()
     first, forces = known(one)
     forces[:] = np.nan  # Whoever gets them may change them.
     last = known(two)[0], known(three)[0]
@@ -51,15 +51,15 @@ def test_the_first_and_the_last_point_are_known():
 
 def test_nothing_is_known_with_other_lists_or_without_lists():
     energy = Counting(np.zeros(3))
-    known, (one, two, _) = Known(energy), points()
+    known, (one, two, _) = CachedEnergy(energy), points()
     first = known(one)[0]
     energy.lists_at = np.zeros(3)
     assert known(one)[0] != first and energy.calls == 2
-    assert known.judged(one, first=True)[0] == first and energy.calls == 2
-    assert known.judged(two, first=True)[0] != first and energy.lists_at is two and energy.calls == 3
+    assert known.judge_at(one, first=True)[0] == first and energy.calls == 2
+    assert known.judge_at(two, first=True)[0] != first and energy.lists_at is two and energy.calls == 3
     without = Counting(None)
-    known = Known(without)
-    known(one), known(one), known.judged(one, first=True)
+    known = CachedEnergy(without)
+    known(one), known(one), known.judge_at(one, first=True)
     assert without.calls == 3
 
 
@@ -128,12 +128,12 @@ def test_judges_have_names_and_threads_of_their_own():
         return at
 
     for engine, named in (("native", "native"), ("openmm", "OpenMM's Reference"), ("custom", "callable")):
-        known = Known(SimpleNamespace(exact=judge(engine), reference=judge("openmm")))
-        assert named in known.judge and known.judged(points()[0])[0] == -5.0
+        known = CachedEnergy(SimpleNamespace(exact=judge(engine), reference=judge("openmm")))
+        assert named in known.judge and known.judge_at(points()[0])[0] == -5.0
     # So that an interrupt is heard; what judges itself is asked where it is.
     assert asked == [False] * 3
     itself = Counting(None)
-    assert Known(itself).judged(points()[0])[0] == 7.0
+    assert CachedEnergy(itself).judge_at(points()[0])[0] == 7.0
     with pytest.raises(ProtochainError, match="choose from auto, reference"):
         pc.minimise(STRUCTURES / "ala10.pdb", judge="me")
 

@@ -64,7 +64,7 @@ def judged(done, energy=None, held="", **settings):
     c = chain("ala10.pdb")
     frame = Frame(c.structure, held)
     recorded = {"rows": [{"evaluations": 3}], "alphas": [c.structure.positions[c.structure.alpha_carbons]]}
-    record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, kept=lambda: KEPT)
+    record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, recorded_frames=lambda: KEPT)
     return minimise_structure._judge(
         Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5
     )

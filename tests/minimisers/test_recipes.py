@@ -12,7 +12,7 @@ import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.annealing import Annealing, AnnealingState
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.minimisers.clash_resolution import FIRM, once_ordinary
+from protochain.minimisers.clash_resolution import BACKBONE_TETHER, run_if_unstrained
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.fire import Fire, FireState
@@ -151,7 +151,9 @@ def test_overlaps_are_parted_in_torsions_and_springs_released_one_after_the_othe
     assert [type(part) for part in soft.energy.parts] == kinds
     assert repulsion.structure is s and not len(repulsion.passing)
     backbone = np.isin(s.atom_name, ["N", "CA", "C", "O"])
-    assert set(tethers.weight[backbone]) == {FIRM} and set(tethers.weight[~backbone]) == {SOFT_TETHER}
+    assert set(tethers.weight[backbone]) == {BACKBONE_TETHER} and set(tethers.weight[~backbone]) == {
+        SOFT_TETHER
+    }
     assert np.array_equal(tethers.home, s.positions) and np.array_equal(bound.home, s.positions)
     # Springs to where the stage before ended, beside the restraint that the user gives.
     x = s.positions + 0.1
@@ -230,10 +232,10 @@ def test_torsions_take_over_once_the_largest_torque_is_ordinary(share, runs):
         space = spaces(pc.build_chain(structure))[0]
         at = space.place(space.start(structure.positions))
         size = space.residual(space.torque(at, pull))
-        held = once_ordinary(*energy_of(lambda x, by=limit * share / size: (0.0, by * pull)))
+        held = run_if_unstrained(*energy_of(lambda x, by=limit * share / size: (0.0, by * pull)))
         assert held.ready(held, at) is runs
     crowd = spaces(crowded())[0]
-    calm = once_ordinary(Stage(crowd, None, lambda x: (0.0, 0.0 * x), 1.0))
+    calm = run_if_unstrained(Stage(crowd, None, lambda x: (0.0, 0.0 * x), 1.0))
     assert not calm.ready(calm, crowd.place(crowd.chain.q0))
 
 

@@ -128,9 +128,11 @@ def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
         recorder = Recorder(s, Frame(s, held_by), lambda row, x, seen=seen: seen.append(x))
         for x in (turned, none, turned):
             recorder(x, 0.0, {}, 1)
-        for x, kept in zip(seen[::2], (recorder.kept()[0], recorder.kept()[2]), strict=True):
+        for x, kept in zip(
+            seen[::2], (recorder.recorded_frames()[0], recorder.recorded_frames()[2]), strict=True
+        ):
             assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
-        assert seen[1] is none and list(recorder.kept()) == [0, 1, 2]
+        assert seen[1] is none and list(recorder.recorded_frames()) == [0, 1, 2]
         assert traced(recorder)["ca_rmsd_angstrom"].tolist() == pytest.approx(
             [0.0, np.nan, 0.0], abs=1e-6, nan_ok=True
         )

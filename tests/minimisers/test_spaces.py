@@ -199,5 +199,9 @@ def test_a_method_that_warms_itself_is_given_a_problem_with_one_evaluation():
     start = Start(c, Noted("whole", log))
     start.warm(Recipe("own", (Run(warming), Run(Annealing()))))
     ((problem, at),) = given
-    assert problem.space is spaces(c)[0] and problem.energy is start.reduced and problem.max_evaluations == 1
-    assert np.array_equal(at.q, evaluate(problem.space, start.reduced, c.q0).q)
+    assert (
+        problem.space is spaces(c)[0]
+        and problem.energy is start.reduced_energy
+        and problem.max_evaluations == 1
+    )
+    assert np.array_equal(at.q, evaluate(problem.space, start.reduced_energy, c.q0).q)

@@ -15,7 +15,7 @@ from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
 from protochain.minimisers import Starts, Status, starts
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.starts import _superpose_on_start, parted, perturbed
+from protochain.minimisers.starts import _superpose_on_start, perturb_dihedrals, separate_overlaps
 
 
 @dataclass
@@ -178,7 +178,7 @@ def test_settings_that_make_no_sense_are_refused(options, said):
 
 def test_a_perturbation_turns_every_dihedral_and_no_angle():
     c = pc.build_chain(load("ala10.pdb"), "phi psi angles", "free")
-    moved = perturbed(c, 1e-3, np.random.default_rng(3))
+    moved = perturb_dihedrals(c, 1e-3, np.random.default_rng(3))
     dihedral = c.hinge_body[[not hinge.is_angle for hinge in c.hinges]]
     q = c.q0.copy()
     q[c.tree.q_start[dihedral]] += np.random.default_rng(3).normal(scale=1e-3, size=len(dihedral))
@@ -191,6 +191,6 @@ def test_a_perturbation_turns_every_dihedral_and_no_angle():
 def test_parting_moves_the_same_bodies_until_nothing_overlaps():
     c = crowded()
     assert overlaps(c.structure, c.structure.positions)
-    moved = parted(c)
+    moved = separate_overlaps(c)
     assert not overlaps(c.structure, moved.structure.positions) and moved.tree is c.tree
     assert Torsions(moved).start(moved.structure.positions) is moved.q0

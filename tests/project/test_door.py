@@ -392,12 +392,12 @@ def test_frames_are_few_evenly_spaced_and_include_the_ends(length):
     record = Recorder(S(), Frame(S(), "a test"))
     for k in range(length):
         record(S().positions + k, 0.0, {}, k)
-    rows = list(record.kept())
+    rows = list(record.recorded_frames())
     assert len(rows) <= N_FRAMES + 1 and rows == sorted(rows)
     if length:
         assert rows[0] == 0 and rows[-1] == length - 1 and len(set(np.diff(rows[:-1]))) <= 1
         assert len(rows) >= min(length, N_FRAMES // 2)
-        assert all(np.allclose(x, S().positions + k) for k, x in record.kept().items())
+        assert all(np.allclose(x, S().positions + k) for k, x in record.recorded_frames().items())
 
 
 def test_figures_are_drawn_where_the_caller_says():

@@ -53,7 +53,7 @@ def named_d(text, *numbers):
 def test_a_structure_of_usual_shape_feels_nothing(name):
     s = load(name)
     energy, forces = ChiralityRestraint.of(s)(s.positions)
-    assert energy == 0.0 and not forces.any() and not len(ChiralityRestraint.of(s).wrong(s.positions))
+    assert energy == 0.0 and not forces.any() and not len(ChiralityRestraint.of(s).inversions(s.positions))
 
 
 def test_forces_are_the_gradient_of_the_energy():
@@ -74,14 +74,17 @@ def test_every_triple_of_bonds_of_an_atom_counts():
     """Four triples for a C-alpha with its hydrogen, and they turn the atom in the mirror the other way."""
     s = load("ala10.pdb")
     hands = ChiralityRestraint.of(s)
-    assert len(hands.atoms) == 4 * 10 and (hands(s.positions)[0], len(hands.wrong(s.positions))) == (0.0, 0)
+    assert len(hands.atoms) == 4 * 10 and (hands(s.positions)[0], len(hands.inversions(s.positions))) == (
+        0.0,
+        0,
+    )
     mirror = s.positions * [1.0, 1.0, -1.0]
-    assert hands.wrong(mirror).tolist() == np.flatnonzero(s.atom_name == "CA").tolist()
+    assert hands.inversions(mirror).tolist() == np.flatnonzero(s.atom_name == "CA").tolist()
     flipped = s.positions.copy()
     (ha,) = np.flatnonzero((s.atom_residue == 4) & (s.atom_name == "HA"))
     (alpha,) = np.flatnonzero((s.atom_residue == 4) & (s.atom_name == "CA"))
     flipped[ha] = 2.0 * flipped[alpha] - flipped[ha]
-    assert hands(flipped)[0] > 1.0 and not len(hands.wrong(flipped))
+    assert hands(flipped)[0] > 1.0 and not len(hands.inversions(flipped))
 
 
 def test_well_formed_residues_of_the_wrong_hand_become_right():
@@ -119,13 +122,13 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     (tmp_path / "two.pdb").write_text(text)
     two = pc.load(tmp_path / "two.pdb")
     assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
-    assert two.describe(int(ChiralityRestraint.of(two).wrong(two.positions)[0])) == "atom CA of A:DAL7"
+    assert two.describe(int(ChiralityRestraint.of(two).inversions(two.positions)[0])) == "atom CA of A:DAL7"
     r = pc.relax(two, threads=1)
     (turned,) = r.stereocentres_corrected
     assert (turned.kind, turned.facts["atoms"]) == (Kind.HAND_TURNED, ("CA",))
     assert turned.facts["residue"] == Residue("A", "7", "DAL")
     alpha = np.flatnonzero(two.atom_name == "CA")
-    assert np.intersect1d(alpha, ChiralityRestraint.of(s).wrong(r.x)).tolist() == alpha[[3, 6]].tolist()
+    assert np.intersect1d(alpha, ChiralityRestraint.of(s).inversions(r.x)).tolist() == alpha[[3, 6]].tolist()
     assert r.status == "converged" and r.measures_end["inverted_stereocentres"] == 0
 
 
@@ -181,7 +184,7 @@ def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 500, note)
     relaxer._round(lost, np.ones(s.n_residues), [(400.0, 400.0)], 1, False)
     hands = relaxer.chirality
-    assert len(hands.wrong(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[True]))
+    assert len(hands.inversions(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[True]))
 
 
 def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():
@@ -189,10 +192,10 @@ def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():
     s = pc.load(shared("1grm_gramicidin.pdb"))
     wrong = wrong_atoms(s, s.positions, s.mirrored)
     assert len(wrong) == 12 and not s.mirrored.any()
-    assert not len(ChiralityRestraint.of(s).wrong(s.positions))
+    assert not len(ChiralityRestraint.of(s).inversions(s.positions))
     r = pc.relax(s, threads=1, solvent="vacuum")
     assert r.stereocentres_corrected == () and np.array_equal(wrong_atoms(s, r.x, s.mirrored), wrong)
     flat = s.positions.copy()
     (around,) = (row[1:] for row in chiral_atoms(s) if row[0] == wrong[3])
     flat[wrong[3]] = s.positions[around].mean(axis=0)
-    assert ChiralityRestraint.of(s.with_positions(flat)).wrong(s.positions).tolist() == [wrong[3]]
+    assert ChiralityRestraint.of(s.with_positions(flat)).inversions(s.positions).tolist() == [wrong[3]]

@@ -17,7 +17,7 @@ import protochain as pc
 from protochain.chains.contacts import joined, overlaps
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
-from protochain.minimisers.clash_resolution import unthreading
+from protochain.minimisers.clash_resolution import unthreading_stages
 from protochain.minimisers.loop import Stop
 from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, problems, rounds
 from protochain.relaxation.names import relaxed_name
@@ -341,7 +341,7 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     points = []
     note = lambda stage, at, evaluations: points.append(at)  # noqa: E731
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
-    relaxer._walk_stages(unthreading(relaxer._space, relaxer.energy), planted.structure.positions, 0)
+    relaxer._walk_stages(unthreading_stages(relaxer._space, relaxer.energy), planted.structure.positions, 0)
     assert len(points) == 4
 
 

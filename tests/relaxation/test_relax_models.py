@@ -83,7 +83,7 @@ def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it
     relaxer = Relaxer(bad, pc.energy(bad), PRESETS["predicted"], 0, lambda *_: None)
     x = bad.positions
     wrong = (
-        relaxer.chirality.wrong(x),
+        relaxer.chirality.inversions(x),
         relaxer.peptides.twisted_bonds(x),
         threaded_rings(bad),
         overlaps(bad, x),

@@ -143,7 +143,7 @@ def test_a_racemate_is_relaxed_with_the_hands_that_it_has_and_so_are_its_files(t
         assert [r.name for r in named["B"]] == [D_NAMES.get(r.name, r.name) for r in named["A"]]
         again = pc.load(tmp_path / name)
         assert np.array_equal(again.mirrored, s.mirrored) and again.losses == ()
-        assert not len(ChiralityRestraint.of(again).wrong(again.positions))
+        assert not len(ChiralityRestraint.of(again).inversions(again.positions))
         assert again.positions == pytest.approx(relaxed.x, abs=2 * PDB_ROUNDING_NM)
         value = pc.energy(again, solvent="vacuum")(again.positions)[0]
         assert value == pytest.approx(relaxed.energy_end, abs=0.01 * abs(relaxed.energy_end))
@@ -212,7 +212,7 @@ def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     named = [str(each) for each in told if ":DAR" in str(each)]
     assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
-    wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).wrong(s.positions)]
+    wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).inversions(s.positions)]
     assert wrong == ([] if is_d or alone else ["atom CA of A:DAR42"])
 
 

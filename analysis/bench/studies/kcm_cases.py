@@ -38,7 +38,7 @@ from protochain.minimisers.problem import Evaluation, Problem, Tally
 from protochain.minimisers.recipes import at_angle
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.start import Start
-from protochain.minimisers.starts import perturbed
+from protochain.minimisers.starts import perturb_dihedrals
 from protochain.structure import Structure, from_sequence, load
 from protochain.structure.molecule.residues import CHI, SYMMETRIC
 from protochain.structure.superpose import rmsd_angstrom
@@ -324,7 +324,7 @@ def legs(start: Start, q: Floats, trial: Trial, most: int, note: Note) -> Iterat
     (own,) = trial.recipe.runs
     limit = FIRST
     while True:
-        problem = Problem(space, start.reduced, min(limit, most))
+        problem = Problem(space, start.reduced_energy, min(limit, most))
         problem.restore(Tally(n), start.pose.x)
         ending = run(problem, own.method, q, 0.1 * POLISH, most, partial(_noted, problem, note), resume)
         if ending.stop is Stop.INTERRUPTED:
@@ -480,7 +480,7 @@ def started(case: Case, root: str = "auto", body: str = "") -> Start:
         structure = _prepared(_sequence(structure), False)
     chain = build_chain(structure, case.model)
     if case.seed:
-        chain = perturbed(chain, SPREAD[case.start], np.random.default_rng([case.seed, 22]))
+        chain = perturb_dihedrals(chain, SPREAD[case.start], np.random.default_rng([case.seed, 22]))
     if root != "auto":
         # The oxygen is the third atom of no hinge: all hinges turn, and its body is the root.
         number = BODIES[body](structure.n_residues) if body else 0
