@@ -18,14 +18,14 @@ J. Phys. Chem. B 113:9004, 2009)."""
 
 def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     """Phi and psi, degrees, (..., r) of the residues between others, at torsions (..., n)."""
-    residues = [each for each in Moves.of(chain).residues if each.psi != NONE]
-    residues = [each for each in residues if not (each.is_first or each.is_last)]
-    residues = [each for each in residues if each.phi != NONE or each.name == "PRO"]
+    residues = [res for res in Moves.of(chain).residues if res.psi != NONE]
+    residues = [res for res in residues if not (res.is_first or res.is_last)]
+    residues = [res for res in residues if res.phi != NONE or res.name == "PRO"]
     phi = [
-        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], each.mirror * PROLINE_PHI)
-        for each in residues
+        np.rad2deg(q[..., res.phi]) if res.phi != NONE else np.full(q.shape[:-1], res.mirror * PROLINE_PHI)
+        for res in residues
     ]
-    psi = [np.rad2deg(q[..., each.psi]) for each in residues]
+    psi = [np.rad2deg(q[..., res.psi]) for res in residues]
     shape = (*q.shape[:-1], len(residues))
     return np.stack(phi, axis=-1) if phi else np.empty(shape), np.stack(psi, axis=-1) if psi else np.empty(
         shape
@@ -49,11 +49,11 @@ def names(phi: Floats, psi: Floats) -> NDArray[np.str_]:
 def helix(phi: Floats, psi: Floats) -> Floats:
     """Share of the residues in a helix: phi and psi (..., r) -> (...). NaN of fewer than three residues."""
     (a, b), (c, d) = _HELIX
-    here = (phi >= a) & (phi <= b) & (psi >= c) & (psi <= d)
-    if here.shape[-1] < 3:
-        return np.full(here.shape[:-1], np.nan)
-    three = here[..., :-2] & here[..., 1:-1] & here[..., 2:]
-    inside = np.zeros_like(here)
+    helical = (phi >= a) & (phi <= b) & (psi >= c) & (psi <= d)
+    if helical.shape[-1] < 3:
+        return np.full(helical.shape[:-1], np.nan)
+    three = helical[..., :-2] & helical[..., 1:-1] & helical[..., 2:]
+    inside = np.zeros_like(helical)
     for k in range(3):
-        inside[..., k : here.shape[-1] - 2 + k] |= three
+        inside[..., k : helical.shape[-1] - 2 + k] |= three
     return np.asarray(inside.mean(axis=-1))

@@ -11,9 +11,9 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.dynamics.loop import noise
-from protochain.searching.landscape import Descended, Landscape
+from protochain.searching.landscape import DescentEnd, Landscape
 from protochain.searching.minima import SAME_ENERGY, Symmetry
-from protochain.searching.moves import a_kind, anywhere, crossed, moved
+from protochain.searching.moves import apply_move, cross_over, draw_kind, random_torsions
 from protochain.searching.pieces import Finding, stream
 
 BANK = 50
@@ -65,12 +65,12 @@ class Crossings:
 
     def begin(self, landscape: Landscape) -> tuple[Bank, Finding]:
         """Descend from the chain as it is: the first of the bank."""
-        done = landscape.minimise(landscape.chain.q0)
-        q = read_only(done.q[None])
+        end = landscape.minimise(landscape.chain.q0)
+        q = read_only(end.q[None])
         state = Bank(
-            q, read_only([done.energy]), read_only([0.0]), q, BANK, 0.0, WIDE, 0, 1, 1, done.n_evaluations
+            q, read_only([end.energy]), read_only([0.0]), q, BANK, 0.0, WIDE, 0, 1, 1, end.n_evaluations
         )
-        return state, Finding.minimum(done.q, done.energy, done.n_evaluations)
+        return state, Finding.minimum(end.q, end.energy, end.n_evaluations)
 
     def step(self, landscape: Landscape, state: Bank) -> tuple[Bank, Finding]:
         """Descend from random torsions while there is room, else from a trial."""
@@ -78,53 +78,53 @@ class Crossings:
         random = noise(self.seed, number, stream(self.walker))
         moves, joins = landscape.moves, len(state.q) < state.room
         if joins:
-            done = landscape.minimise(anywhere(moves, state.q.shape[1], random))
-            after = joined(state, done, landscape.symmetry)
+            end = landscape.minimise(random_torsions(moves, state.q.shape[1], random))
+            after = add_random(state, end, landscape.symmetry)
         else:
             seed = random.choice(np.flatnonzero(state.tried < TRIALS))
             if random.random() < MUTATED:
-                trial = moved(moves, a_kind(moves, random), state.q[seed], _SIZE, random)
+                trial = apply_move(moves, draw_kind(moves, random), state.q[seed], _SIZE, random)
             else:
-                others = state.random if random.random() < RANDOM else state.q
-                trial = crossed(moves, state.q[seed], others[random.integers(len(others))], random)
-            done = landscape.minimise(trial)
+                partners = state.random if random.random() < RANDOM else state.q
+                trial = cross_over(moves, state.q[seed], partners[random.integers(len(partners))], random)
+            end = landscape.minimise(trial)
             tried = state.tried.copy()
             tried[seed] += 1.0
-            after = next_round(entered(replace(state, tried=read_only(tried)), done, landscape.symmetry))
-        n_evaluations = state.n_evaluations + done.n_evaluations
-        found = Finding.minimum(done.q, done.energy, n_evaluations)
-        return replace(after, n_done=number, n_evaluations=n_evaluations), found
+            after = next_round(add_minimum(replace(state, tried=read_only(tried)), end, landscape.symmetry))
+        n_evaluations = state.n_evaluations + end.n_evaluations
+        finding = Finding.minimum(end.q, end.energy, n_evaluations)
+        return replace(after, n_done=number, n_evaluations=n_evaluations), finding
 
 
-def joined(state: Bank, done: Descended, symmetry: Symmetry) -> Bank:
+def add_random(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
     """Let a random minimum join; the last one sets what is near."""
-    random = np.concatenate([state.random, done.q[None]])[-2 * BANK :]
+    random = np.concatenate([state.random, end.q[None]])[-2 * BANK :]
     after = replace(
         state,
-        q=read_only(np.concatenate([state.q, done.q[None]])),
-        energies=read_only([*state.energies, done.energy]),
+        q=read_only(np.concatenate([state.q, end.q[None]])),
+        energies=read_only([*state.energies, end.energy]),
         tried=read_only([*state.tried, 0.0]),
         random=read_only(random),
         n_accepted=state.n_accepted + 1,
     )
     if len(after.q) < state.room:
         return after
-    apart = [symmetry.distance(random[:k], random[k]) for k in range(1, len(random))]
-    return replace(after, mean=float(np.mean(np.concatenate(apart))), width=WIDE)
+    distances = [symmetry.distance(random[:k], random[k]) for k in range(1, len(random))]
+    return replace(after, mean=float(np.mean(np.concatenate(distances))), width=WIDE)
 
 
-def entered(state: Bank, done: Descended, symmetry: Symmetry) -> Bank:
+def add_minimum(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
     """Let a minimum displace one near it, or else the highest, if it is lower; what is near shrinks."""
     state = replace(state, width=max(state.width * _COOLING, NARROW))
-    apart = symmetry.distance(state.q, done.q)
-    nearest, highest = int(np.argmin(apart)), int(np.argmax(state.energies))
-    is_near = apart[nearest] < state.width * state.mean
+    distances = symmetry.distance(state.q, end.q)
+    nearest, highest = int(np.argmin(distances)), int(np.argmax(state.energies))
+    is_near = distances[nearest] < state.width * state.mean
     place = nearest if is_near else highest
-    fall = state.energies[place] - done.energy
+    fall = state.energies[place] - end.energy
     if not fall > 0.0:
         return state
     q, energies, tried = state.q.copy(), state.energies.copy(), state.tried.copy()
-    q[place], energies[place] = done.q, done.energy
+    q[place], energies[place] = end.q, end.energy
     if not is_near or fall > SAME_ENERGY:
         tried[place] = 0.0
     return replace(
@@ -142,8 +142,8 @@ def next_round(state: Bank) -> Bank:
         return after
     # The bank doubles once; then the higher half leaves.
     n = len(state.q)
-    kept = np.argsort(state.energies, kind="stable")[:BANK] if n > BANK else np.arange(n)
+    selected = np.argsort(state.energies, kind="stable")[:BANK] if n > BANK else np.arange(n)
     return replace(
-        after, q=read_only(state.q[kept]), energies=read_only(state.energies[kept]),
-        tried=read_only(np.zeros(len(kept))), room=2 * BANK,
+        after, q=read_only(state.q[selected]), energies=read_only(state.energies[selected]),
+        tried=read_only(np.zeros(len(selected))), room=2 * BANK,
     )  # fmt: skip

@@ -19,9 +19,9 @@ from protochain.results.viewer import scene
 from protochain.structure import Structure
 from protochain.structure import save as save_structure
 
-WRITTEN = 20
+N_WRITTEN = 20
 """Minima, the lowest, that are written as files."""
-_SHOWN = 25
+_N_SHOWN = 25
 """Minima in the table of the page."""
 TABLES = ("minima.csv", "populations.csv", "conformers.csv", "energy-rmsd.png")
 
@@ -45,7 +45,7 @@ def write_search(
     remove_files((*folder.glob("minima/minimum-*.pdb"), *(folder / name for name in TABLES)))
     save(folder, files)
     (folder / "minima").mkdir(exist_ok=True)
-    for number, row in enumerate(minima.head(WRITTEN).to_dict("records"), 1):
+    for number, row in enumerate(minima.head(N_WRITTEN).to_dict("records"), 1):
         remarks = [
             f"MINIMUM {number} OF A SEARCH BY {record['method'].upper()}",
             f"ENERGY {row['energy_kj_mol']:.4f} KJ/MOL, {row['above_lowest_kj_mol']:.4f} ABOVE THE LOWEST",
@@ -59,8 +59,8 @@ def write_search(
         folder / "report.html",
         "search.html",
         record=record,
-        minima=minima.head(_SHOWN),
-        n_files=min(WRITTEN, len(minima)),
+        minima=minima.head(_N_SHOWN),
+        n_files=min(N_WRITTEN, len(minima)),
         populations=populations,
         conformers=at_lowest,
         figure=data_url(figure),
@@ -68,24 +68,24 @@ def write_search(
     )
 
 
-def drawn(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure:
+def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure:
     """Energy of the minima against their C-alpha RMSD to the lowest, and the lowest energy as it fell."""
     # walks: of each (n, 2), evaluations and energy of what it found.
     figure, (left, right) = panels(None, 2, (8, 3.4))
     clusters = table["cluster"].to_numpy()
     for k, (colour, marker) in enumerate(zip((*COLOURS, START), "osD^vPX.", strict=True), 1):
-        own = table[clusters == k if k <= len(COLOURS) else clusters > len(COLOURS)]
-        if len(own):
+        rows = table[clusters == k if k <= len(COLOURS) else clusters > len(COLOURS)]
+        if len(rows):
             left.scatter(
-                own["ca_rmsd_to_lowest_angstrom"], own["above_lowest_kj_mol"], s=14, color=colour,
+                rows["ca_rmsd_to_lowest_angstrom"], rows["above_lowest_kj_mol"], s=14, color=colour,
                 marker=marker, label=f"{k}" if k <= len(COLOURS) else "others",
             )  # fmt: skip
     left.set(xlabel="C-alpha RMSD to the lowest, angstrom", ylabel="energy above the lowest, kJ/mol")
     left.legend(title="cluster", fontsize=8)
-    runs = {f"walk {number}": found for number, found in enumerate(walks, 1)}
-    for (name, found), look in zip(runs.items(), looks(runs).values(), strict=True):
-        fallen = np.minimum.accumulate(found[:, 1]) - lowest
-        right.step(found[:, 0], fallen, where="post", **look.line(name))
+    runs = {f"walk {number}": walk for number, walk in enumerate(walks, 1)}
+    for (name, walk), look in zip(runs.items(), looks(runs).values(), strict=True):
+        lowest_so_far = np.minimum.accumulate(walk[:, 1]) - lowest
+        right.step(walk[:, 0], lowest_so_far, where="post", **look.line(name))
     right.set(xlabel="energy evaluations of a walk", ylabel="lowest so far, above\nthe lowest of all, kJ/mol")
     right.set_xscale("log")
     if len(runs) <= 8:

@@ -11,12 +11,12 @@ from protochain.core.arrays import Floats, Value
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
 from protochain.searching.landscape import Landscape
-from protochain.searching.moves import a_kind, moved
+from protochain.searching.moves import apply_move, draw_kind
 from protochain.searching.pieces import Finding, stream
 
-ADAPTED = 100
+N_ADAPTIVE = 100
 """Hops during which the size of a turn follows how often it is accepted; then it stays."""
-_WANTED, _FACTOR = 0.3, 1.1
+_TARGET, _FACTOR = 0.3, 1.1
 _LARGEST = np.pi
 
 
@@ -48,29 +48,29 @@ class Hops:
 
     def begin(self, landscape: Landscape) -> tuple[Hopping, Finding]:
         """Descend from the chain as it is."""
-        done = landscape.minimise(landscape.chain.q0)
-        state = Hopping(done.q, done.energy, 0, 0, done.n_evaluations, np.pi / 4)
-        return state, Finding.minimum(done.q, done.energy, done.n_evaluations)
+        end = landscape.minimise(landscape.chain.q0)
+        state = Hopping(end.q, end.energy, 0, 0, end.n_evaluations, np.pi / 4)
+        return state, Finding.minimum(end.q, end.energy, end.n_evaluations)
 
     def step(self, landscape: Landscape, state: Hopping) -> tuple[Hopping, Finding]:
         """Hop once."""
         hop = state.n_done + 1
         random = noise(self.seed, hop, stream(self.walker))
-        kind = a_kind(landscape.moves, random)
-        done = landscape.minimise(moved(landscape.moves, kind, state.q, state.size, random))
-        accepted = metropolis(done.energy - state.energy, self.temperature, random)
-        n_evaluations = state.n_evaluations + done.n_evaluations
-        found = Finding.minimum(done.q, done.energy, n_evaluations)
+        kind = draw_kind(landscape.moves, random)
+        end = landscape.minimise(apply_move(landscape.moves, kind, state.q, state.size, random))
+        accepted = metropolis(end.energy - state.energy, self.temperature, random)
+        n_evaluations = state.n_evaluations + end.n_evaluations
+        finding = Finding.minimum(end.q, end.energy, n_evaluations)
         after = replace(
             state,
             n_done=hop,
             n_accepted=state.n_accepted + accepted,
             n_evaluations=n_evaluations,
-            size=_adapted(state.size, accepted)
-            if kind in ("crankshaft", "turn") and hop <= ADAPTED
+            size=_adapt(state.size, accepted)
+            if kind in ("crankshaft", "turn") and hop <= N_ADAPTIVE
             else state.size,
         )
-        return (replace(after, q=done.q, energy=done.energy) if accepted else after), found
+        return (replace(after, q=end.q, energy=end.energy) if accepted else after), finding
 
 
 def metropolis(rise: float, temperature: float, random: np.random.Generator) -> bool:
@@ -79,6 +79,6 @@ def metropolis(rise: float, temperature: float, random: np.random.Generator) -> 
     return bool(rise <= 0.0 or (temperature > 0.0 and drawn < np.exp(-rise / (MOLAR_GAS * temperature))))
 
 
-def _adapted(size: float, accepted: bool) -> float:
+def _adapt(size: float, accepted: bool) -> float:
     """Size of turns after one: its logarithm rests where the share wanted is accepted."""
-    return float(min(size * _FACTOR ** ((1.0 if accepted else 0.0) - _WANTED), _LARGEST))
+    return float(min(size * _FACTOR ** ((1.0 if accepted else 0.0) - _TARGET), _LARGEST))

@@ -24,7 +24,7 @@ def length_of_acceptance(acceptance: Floats) -> Floats:
 def equally_spaced(temperatures: Floats, lengths: Floats) -> Floats:
     """As many temperatures between the same ends, with equal thermodynamic lengths between neighbours."""
     along = np.concatenate([[0.0], np.cumsum(lengths)])
-    wanted = np.linspace(0.0, along[-1], len(temperatures))
-    found = np.exp(np.interp(wanted, along, np.log(temperatures)))
-    found[[0, -1]] = temperatures[[0, -1]]
-    return np.asarray(found)
+    targets = np.linspace(0.0, along[-1], len(temperatures))
+    ladder = np.exp(np.interp(targets, along, np.log(temperatures)))
+    ladder[[0, -1]] = temperatures[[0, -1]]
+    return np.asarray(ladder)

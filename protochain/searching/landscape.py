@@ -46,7 +46,7 @@ _MOST = 2000
 """Evaluations of one descent; a tenth is usual from random torsions."""
 
 
-class Descended(NamedTuple):
+class DescentEnd(NamedTuple):
     """Where a descent ended: torsions (n,), energy in kJ/mol, and the evaluations that it took."""
 
     q: Floats
@@ -54,7 +54,7 @@ class Descended(NamedTuple):
     n_evaluations: int
 
 
-class Swept(NamedTuple):
+class Sweep(NamedTuple):
     """Some trajectories of hybrid Monte Carlo."""
 
     q: Floats  # (n,) rad: At the end.
@@ -132,7 +132,7 @@ class Landscape(Value):
         """Positions (na, 3), nm, at torsions (n,)."""
         return pose(self.chain, q).x
 
-    def minimise(self, q: Floats, tolerance: float = 0.1) -> Descended:
+    def minimise(self, q: Floats, tolerance: float = 0.1) -> DescentEnd:
         """Descend by L-BFGS to a largest torque, kJ/mol/rad, from torsions (n,), which may overlap."""
         # Sums have an order that neighbour lists set: it must not depend on what was evaluated before.
         self._varying.list_at(self.positions(q))
@@ -141,10 +141,10 @@ class Landscape(Value):
         descend(problem, method, q, tolerance, PATIENCE, lambda at: None)
         best = problem.best
         if best is None or not best.is_finite:
-            return Descended(q, np.inf, problem.n_evaluations)
-        return Descended(_wrapped(best.q), self._judged(best), problem.n_evaluations)
+            return DescentEnd(q, np.inf, problem.n_evaluations)
+        return DescentEnd(_wrap(best.q), self._exact_energy(best), problem.n_evaluations)
 
-    def _judged(self, best: Evaluation) -> float:
+    def _exact_energy(self, best: Evaluation) -> float:
         """Energy of the end of a descent in double precision, kJ/mol."""
         if self.energy.is_exact:
             return best.energy
@@ -152,7 +152,7 @@ class Landscape(Value):
         judge.list_at(best.pose.x)
         return judge(best.pose.x)[0] + best.restraint
 
-    def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
+    def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Sweep:
         """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.
 
         Parameters
@@ -167,14 +167,14 @@ class Landscape(Value):
         """
         self._varying.list_at(self.positions(q))
         kt, evaluations = MOLAR_GAS * temperature, [0]
-        bias, own = fixman(kt), chain_potential(self.chain, self._varying)
+        bias, chain_energy = fixman(kt), chain_potential(self.chain, self._varying)
 
         def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
             evaluations[0] += 1
-            return own(q, factors)
+            return chain_energy(q, factors)
 
-        held = [chain_potential(self.chain, self.restraints)] if self.restraints else []
-        system = System(self.chain.tree, total([potential, *held, bias]))
+        restraint_terms = [chain_potential(self.chain, self.restraints)] if self.restraints else []
+        system = System(self.chain.tree, total([potential, *restraint_terms, bias]))
         thermostat = HybridMonteCarlo(kt, TRAJECTORY_LENGTH)
         propagator = Propagator(system, Leapfrog(), thermostat, time_step, kt, seed, False)
         energies = []
@@ -187,9 +187,9 @@ class Landscape(Value):
         state, _, _ = run(propagator, initial(propagator, q), n_steps, TRAJECTORY_LENGTH, note)
         _, accepted, tried, _ = state.bath.memory[:4]
         share = float(accepted / max(tried, 1.0))
-        return Swept(_wrapped(state.at.q), np.array(energies), share, evaluations[0])
+        return Sweep(_wrap(state.at.q), np.array(energies), share, evaluations[0])
 
 
-def _wrapped(q: Floats) -> Floats:
+def _wrap(q: Floats) -> Floats:
     """Torsions from -pi to pi."""
     return np.asarray(q - 2.0 * np.pi * np.rint(q / (2.0 * np.pi)))

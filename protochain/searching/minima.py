@@ -60,17 +60,17 @@ class Symmetry(Value):
                     paired.append((coordinate, rotors[residue["CZ"]]))
         return cls(period, np.array(paired, dtype=np.int64).reshape(-1, 2))
 
-    def farthest(self, q: Floats, other: Floats) -> Floats:
+    def farthest(self, q: Floats, q_other: Floats) -> Floats:
         """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
-        return np.asarray(np.max(self._differences(q, other), axis=-1))
+        return np.asarray(np.max(self._differences(q, q_other), axis=-1))
 
-    def distance(self, q: Floats, other: Floats) -> Floats:
+    def distance(self, q: Floats, q_other: Floats) -> Floats:
         """Sum of the differences, rad, of all torsions; q (..., n) and other (..., n)."""
-        return np.asarray(np.sum(self._differences(q, other), axis=-1))
+        return np.asarray(np.sum(self._differences(q, q_other), axis=-1))
 
-    def _differences(self, q: Floats, other: Floats) -> Floats:
+    def _differences(self, q: Floats, q_other: Floats) -> Floats:
         """Smallest differences (..., n), rad, over the symmetric images of each group."""
-        turn = q - other
+        turn = q - q_other
         away = np.abs(turn - self.period * np.rint(turn / self.period))
         for pair in self.paired:
             image = np.pi - away[..., pair]
@@ -95,17 +95,17 @@ def _is_acid(hinge: Hinge, residue: dict[str, int]) -> bool:
 def unique(q: Floats, energy: Floats, symmetry: Symmetry) -> Integers:
     """Which minima differ from all lower ones, the lowest first."""
     # q (m, n) rad, energy (m,) kJ/mol -> (k,) int.
-    kept: list[int] = []
+    distinct: list[int] = []
     first = 0
     for k in np.argsort(energy, kind="stable").tolist():
         if not np.isfinite(energy[k]):
             break
-        while first < len(kept) and energy[kept[first]] < energy[k] - SAME_ENERGY:
+        while first < len(distinct) and energy[distinct[first]] < energy[k] - SAME_ENERGY:
             first += 1
-        near = kept[first:]
+        near = distinct[first:]
         if not near or np.min(symmetry.farthest(q[near], q[k])) > SAME_TORSION:
-            kept.append(k)
-    return np.array(kept, dtype=np.int64)
+            distinct.append(k)
+    return np.array(distinct, dtype=np.int64)
 
 
 def clusters(positions: Sequence[Floats]) -> Integers:
@@ -113,10 +113,10 @@ def clusters(positions: Sequence[Floats]) -> Integers:
     # By average linkage over the RMSD of pairs, superposed.
     if len(positions) < 2:
         return np.ones(len(positions), dtype=np.int64)
-    found, _ = cluster_distances(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
-    _, first = np.unique(found, return_index=True)
-    renamed = {int(found[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
-    return np.array([renamed[int(each)] for each in found], dtype=np.int64)
+    labels, _ = cluster_distances(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
+    _, first = np.unique(labels, return_index=True)
+    numbers = {int(labels[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
+    return np.array([numbers[int(label)] for label in labels], dtype=np.int64)
 
 
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:

@@ -19,7 +19,7 @@ JITTER = np.deg2rad(10.0)
 NONE = -1
 WEIGHTS = {"backbone": 0.5, "rotamer": 0.3, "crankshaft": 0.2, "turn": 0.1}
 """How often each kind of move is tried, of those that a chain has."""
-CROSSED = {"part": 0.4, "stretch": 0.4, "few": 0.2}
+CROSSINGS = {"part": 0.4, "stretch": 0.4, "few": 0.2}
 """How often each kind of crossing is tried."""
 _FEW = 5
 
@@ -52,7 +52,7 @@ class Moves(Value):
     residues: tuple[Residue, ...]  # Those of which anything turns, in the order of the sequence.
     # Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
     flips: tuple[tuple[int, int], ...]
-    others: tuple[int, ...]  # Coordinates of all hinges that are neither phi, psi nor chi.
+    other_hinges: tuple[int, ...]  # Coordinates of all hinges that are neither phi, psi nor chi.
 
     @classmethod
     def of(cls, chain: Chain) -> Moves:
@@ -60,7 +60,7 @@ class Moves(Value):
         structure = chain.structure
         names = [str(name) for name in structure.residue_name]
         by_residue: dict[int, dict[str, int]] = {}
-        others, last_ones = [], set()
+        other_hinges, last_ones = [], set()
         for hinge, coordinate in zip(
             chain.hinges, chain.tree.q_start[chain.hinge_body].tolist(), strict=True
         ):
@@ -70,63 +70,63 @@ class Moves(Value):
                 if hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O":
                     last_ones.add(r)
             else:
-                others.append(coordinate)
+                other_hinges.append(coordinate)
         residues = []
-        for r, its in sorted(by_residue.items()):
+        for r, coordinates in sorted(by_residue.items()):
             chi: list[int] = []
-            while (kind := f"chi{len(chi) + 1}") in its:
-                chi.append(its[kind])
+            while (kind := f"chi{len(chi) + 1}") in coordinates:
+                chi.append(coordinates[kind])
             after = names[r + 1] if r + 1 < len(names) else ""
             mirror = -1.0 if structure.mirrored[r] else 1.0
-            own = its.get("phi", NONE), its.get("psi", NONE)
+            phi_psi = coordinates.get("phi", NONE), coordinates.get("psi", NONE)
             ends = r == 0, r in last_ones
-            residues.append(Residue(names[r], _class(names[r], after), mirror, *own, tuple(chi), *ends))
+            residues.append(Residue(names[r], _class(names[r], after), mirror, *phi_psi, tuple(chi), *ends))
         flips = tuple(
-            (its["psi"], by_residue[r + 1]["phi"])
-            for r, its in sorted(by_residue.items())
-            if "psi" in its and "phi" in by_residue.get(r + 1, {})
+            (coordinates["psi"], by_residue[r + 1]["phi"])
+            for r, coordinates in sorted(by_residue.items())
+            if "psi" in coordinates and "phi" in by_residue.get(r + 1, {})
         )
-        return cls(tuple(residues), flips, tuple(others))
+        return cls(tuple(residues), flips, tuple(other_hinges))
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """Moves that the chain has."""
-        known = {
+        by_kind = {
             "backbone": self.with_backbone,
             "rotamer": self.with_chi,
             "crankshaft": self.flips,
-            "turn": self.others,
+            "turn": self.other_hinges,
         }
-        return tuple(kind for kind, its in known.items() if its)
+        return tuple(kind for kind, members in by_kind.items() if members)
 
     @cached_property
     def parts(self) -> tuple[list[int], ...]:
         """Coordinates that go together: of the backbone of a residue, of its side chain, of another hinge."""
-        found = [part for each in self.residues for part in (each.backbone, list(each.chi))]
-        return *(part for part in found if part), *([k] for k in self.others)
+        coordinates = [part for residue in self.residues for part in (residue.backbone, list(residue.chi))]
+        return *(part for part in coordinates if part), *([k] for k in self.other_hinges)
 
     @cached_property
     def with_backbone(self) -> tuple[Residue, ...]:
         """Residues whose phi or psi turns."""
-        return tuple(each for each in self.residues if max(each.phi, each.psi) >= 0)
+        return tuple(residue for residue in self.residues if max(residue.phi, residue.psi) >= 0)
 
     @cached_property
     def with_chi(self) -> tuple[Residue, ...]:
         """Residues whose side chain turns."""
-        return tuple(each for each in self.residues if each.chi)
+        return tuple(residue for residue in self.residues if residue.chi)
 
 
-def a_kind(moves: Moves, random: np.random.Generator) -> str:
+def draw_kind(moves: Moves, random: np.random.Generator) -> str:
     """Draw a kind of move, of those that the chain has."""
     weights = np.array([WEIGHTS[kind] for kind in moves.kinds])
     return moves.kinds[int(random.choice(len(weights), p=weights / weights.sum()))]
 
 
-def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator) -> Floats:
+def cross_over(moves: Moves, q: Floats, q_other: Floats, random: np.random.Generator) -> Floats:
     """Torsions (n,), rad, of which some are those of another minimum; q, other (n,) rad."""
     # Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up
-    # to five hinges anywhere.
-    kind = random.choice(list(CROSSED), p=list(CROSSED.values()))
+    # to five hinges random_torsions.
+    kind = random.choice(list(CROSSINGS), p=list(CROSSINGS.values()))
     if kind == "part":
         where = _one(moves.parts, random)
     elif kind == "few":
@@ -134,14 +134,14 @@ def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator)
     else:
         length = int(random.integers(1, max(2, len(moves.residues) // 2 + 1)))
         first = int(random.integers(len(moves.residues) - length + 1))
-        its = moves.residues[first : first + length]
-        where = [k for each in its for k in (*each.backbone, *each.chi)]
+        stretch = moves.residues[first : first + length]
+        where = [k for residue in stretch for k in (*residue.backbone, *residue.chi)]
     q = q.copy()
-    q[where] = other[where]
+    q[where] = q_other[where]
     return q
 
 
-def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:
+def apply_move(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:
     """Torsions (n,) after a move of this kind at a place drawn at random: q (n,) rad, size rad."""
     q = q.copy()
     if kind == "backbone":
@@ -155,11 +155,11 @@ def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Gen
         q[psi] += turn
         q[phi] -= turn
     else:
-        q[_one(moves.others, random)] += random.normal(scale=size)
+        q[_one(moves.other_hinges, random)] += random.normal(scale=size)
     return q
 
 
-def anywhere(moves: Moves, n: int, random: np.random.Generator) -> Floats:
+def random_torsions(moves: Moves, n: int, random: np.random.Generator) -> Floats:
     """Torsions (n,), rad: of each residue by itself as a move draws them, of other hinges any."""
     q = random.uniform(-np.pi, np.pi, n)
     for residue in moves.residues:
@@ -171,7 +171,7 @@ def anywhere(moves: Moves, n: int, random: np.random.Generator) -> Floats:
 
 def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, float]:
     """Phi and psi, rad, from the favoured regions of a residue, drawn as often as their score says."""
-    phi, psi, share = _favoured(residue.kind)
+    phi, psi, share = _favoured_points(residue.kind)
     at = int(np.searchsorted(share, random.random()))
     within = random.uniform(-1.0, 1.0, 2)
     return (
@@ -183,11 +183,11 @@ def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, floa
 def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floats:
     """Dihedrals of a side chain, rad: a rotamer as often as it occurs at this phi and psi, and near it."""
     n = len(residue.chi)
-    here = [
+    backbone_degrees = [
         usual if k == NONE else residue.mirror * float(np.rad2deg(q[k]))
         for k, usual in zip((residue.phi, residue.psi), BACKBONE, strict=True)
     ]
-    chi, frequency = rotamers(residue.name, *here)
+    chi, frequency = rotamers(residue.name, *backbone_degrees)
     if not len(frequency) or chi.shape[1] < n:
         return random.uniform(-np.pi, np.pi, n)
     drawn = chi[random.choice(len(frequency), p=frequency), :n]
@@ -195,7 +195,7 @@ def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floa
 
 
 @cache
-def _favoured(kind: int) -> tuple[Floats, Floats, Floats]:
+def _favoured_points(kind: int) -> tuple[Floats, Floats, Floats]:
     """Phi and psi of the favoured points of a class, degrees, and their shares added up."""
     table = tables()[kind]
     i, j = np.nonzero(table >= FAVOURED)
@@ -222,5 +222,5 @@ def _class(name: str, after: str) -> int:
     return CLASSES.index(kind)
 
 
-def _one(of: Sequence[T], random: np.random.Generator) -> T:
-    return of[int(random.integers(len(of)))]
+def _one(sequence: Sequence[T], random: np.random.Generator) -> T:
+    return sequence[int(random.integers(len(sequence)))]

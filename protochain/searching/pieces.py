@@ -41,7 +41,7 @@ class Finding(Value):
     samples: Floats
 
     @classmethod
-    def none(cls, n: int, r: int = 0) -> "Finding":
+    def empty(cls, n: int, r: int = 0) -> "Finding":
         """Nothing, of n torsions and r replicas."""
         return cls(np.empty((0, n + 2)), np.empty((0, r, n + 1)))
 
@@ -51,11 +51,11 @@ class Finding(Value):
         return cls(np.array([[n_evaluations, energy, *q]]), np.empty((0, r, len(q) + 1)))
 
     @classmethod
-    def joined(cls, parts: "Sequence[Finding]") -> "Finding":
+    def concatenate(cls, parts: "Sequence[Finding]") -> "Finding":
         """One after the other."""
         return cls(
-            read_only(np.concatenate([each.minima for each in parts])),
-            read_only(np.concatenate([each.samples for each in parts])),
+            read_only(np.concatenate([part.minima for part in parts])),
+            read_only(np.concatenate([part.samples for part in parts])),
         )
 
 
@@ -78,27 +78,27 @@ def advance(
 ) -> tuple[Any | None, Finding]:
     """Take steps, at least one, until the time or the evaluations of the walker are spent."""
     # What an interrupt has cut short is not a step; the state before it stands.
-    began, found = perf_counter(), list[Finding]()
+    began, findings = perf_counter(), list[Finding]()
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
         # At least one: a step may take longer than a piece.
         while state is None or (
-            state.n_evaluations < budget and not (found and perf_counter() - began >= seconds)
+            state.n_evaluations < budget and not (findings and perf_counter() - began >= seconds)
         ):
-            after, its = method.begin(landscape) if state is None else method.step(landscape, state)
+            after, finding = method.begin(landscape) if state is None else method.step(landscape, state)
             if interrupts:
                 break
             state = after
-            found.append(its)
-    return state, Finding.joined(found) if found else Finding.none(landscape.chain.n_hinges)
+            findings.append(finding)
+    return state, Finding.concatenate(findings) if findings else Finding.empty(landscape.chain.n_hinges)
 
 
 @dataclass(frozen=True, eq=False)
-class Done(Value):
+class PieceEnd(Value):
     """A piece as its process sends it; ``message`` says why there is none."""
 
     walker: int
     state: Any | None
-    found: Finding | None
+    finding: Finding | None
     message: str = ""
 
 
@@ -112,36 +112,36 @@ class Piece(Value):
     budget: float  # Evaluations of the walker in all.
     seconds: float = SECONDS  # After which it takes no further step.
 
-    def run(self, threads: int) -> Iterator[Done]:
+    def run(self, threads: int) -> Iterator[PieceEnd]:
         """Do it, on one thread."""
         landscape, methods = load_shared(self.task)
-        yield Done(
+        yield PieceEnd(
             self.walker, *advance(landscape, methods[self.walker], self.state, self.budget, self.seconds)
         )
 
-    def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
+    def lost(self, results: Sequence[PieceEnd], status: str, message: str, seconds: float) -> list[PieceEnd]:
         """Say why there is no more of it."""
-        return [] if done else [Done(self.walker, self.state, None, message)]
+        return [] if results else [PieceEnd(self.walker, self.state, None, message)]
 
 
-def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, Any]) -> None:
+def write_piece(path: Path, state: Any, finding: Finding, settings: Mapping[str, Any]) -> None:
     """Write the state after a piece, and what it found, atomically."""
-    its = {name: getattr(state, name) for name in _names(state)}
-    arrays = {f"state_{name}": value for name, value in its.items() if isinstance(value, np.ndarray)}
-    numbers = {name: value for name, value in its.items() if not isinstance(value, np.ndarray)}
-    write_checkpoint(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
+    values = {name: getattr(state, name) for name in _names(state)}
+    arrays = {f"state_{name}": value for name, value in values.items() if isinstance(value, np.ndarray)}
+    numbers = {name: value for name, value in values.items() if not isinstance(value, np.ndarray)}
+    write_checkpoint(path, arrays | {"minima": finding.minima, "samples": finding.samples}, numbers, settings)
 
 
 def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
     """Read a piece of a search with the same settings."""
-    with checkpoint(path, settings, "search", "search again with ", Argument("force", True)) as kept:
-        arrays = kept.arrays
+    with checkpoint(path, settings, "search", "search again with ", Argument("force", True)) as stored:
+        arrays = stored.arrays
         if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:
             raise ValueError("arrays of no numbers")
         of_state = {name: arrays[f"state_{name}"] for name in _names(kind) if f"state_{name}" in arrays}
         state = kind(
             **{name: read_only(value, value.dtype.type) for name, value in of_state.items()},
-            **{name: kept.number(name) for name in _names(kind) if name not in of_state},
+            **{name: stored.number(name) for name in _names(kind) if name not in of_state},
         )
         return state, Finding(read_only(arrays["minima"]), read_only(arrays["samples"]))
 

@@ -22,7 +22,7 @@ from protochain.searching.landscape import Landscape
 from protochain.searching.minima import SAME_ENERGY, SAME_TORSION, clusters, free_energy, unique
 from protochain.searching.pieces import Finding
 from protochain.searching.search_settings import SearchSettings
-from protochain.searching.statistics import WARM_UP, blocked, mean_and_error, slope, warm
+from protochain.searching.statistics import WARM_UP, blocks_of, drop_warm_up, mean_and_error, slope
 from protochain.structure.superpose import rmsd_angstrom
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
     from protochain.structure import Structure
 
-LISTED = 200
+N_LISTED = 200
 """Minima, the lowest, in tables: clusters take the RMSD of all their pairs."""
-FREE = 10
+N_FREE_ENERGIES = 10
 """Minima, the lowest, of which free energies are known: each takes a Hessian."""
-NAMED = 12
+N_NAMED = 12
 """Conformers, the most frequent, in tables."""
 
 
@@ -87,25 +87,25 @@ class Search(Value):
         return sum(state.n_evaluations for state in self.states if state is not None)
 
     @cached_property
-    def _all(self) -> tuple[Integers, Floats]:
+    def _descents(self) -> tuple[Integers, Floats]:
         """Walker of each descent, and all descents, a row each as in :class:`Finding`."""
-        walker = np.repeat(np.arange(len(self.findings)), [len(each.minima) for each in self.findings])
-        return walker, np.concatenate([each.minima for each in self.findings])
+        walker = np.repeat(np.arange(len(self.findings)), [len(finding.minima) for finding in self.findings])
+        return walker, np.concatenate([finding.minima for finding in self.findings])
 
     @cached_property
     def _unique(self) -> Integers:
-        found = self._all[1]
-        return unique(found[:, 2:], found[:, 1], self.landscape.symmetry)
+        rows = self._descents[1]
+        return unique(rows[:, 2:], rows[:, 1], self.landscape.symmetry)
 
     @property
     def q(self) -> Floats:
         """(m, n) float, rad: torsions of the different minima, the lowest first."""
-        return np.asarray(self._all[1][self._unique, 2:])
+        return np.asarray(self._descents[1][self._unique, 2:])
 
     @property
     def energies(self) -> Floats:
         """(m,) float, kJ/mol: energies of the different minima, the lowest first."""
-        return np.asarray(self._all[1][self._unique, 1])
+        return np.asarray(self._descents[1][self._unique, 1])
 
     @property
     def energy(self) -> float:
@@ -115,7 +115,7 @@ class Search(Value):
     @property
     def n_walks_at_lowest(self) -> int:
         """Walks that reached the lowest minimum: one of several has not shown that it is the lowest."""
-        walker, rows = self._all
+        walker, rows = self._descents
         alike = self.landscape.symmetry.farthest(rows[:, 2:], self.q[0]) <= SAME_TORSION
         return len(np.unique(walker[alike & (rows[:, 1] <= self.energy + SAME_ENERGY)]))
 
@@ -133,10 +133,10 @@ class Search(Value):
         number = integer(number, "number")
         if not 1 <= number <= len(self.q):
             raise refused("number", number, f"give 1 to {len(self.q)}")
-        lowest, its = (
+        lowest, minimum = (
             self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
         )
-        return superposed(its, lowest)
+        return superposed(minimum, lowest)
 
     @cached_property
     def minima(self) -> pd.DataFrame:
@@ -148,28 +148,28 @@ class Search(Value):
         """
         import pandas as pd
 
-        walker, found = self._all
-        rows = self._unique[:LISTED]
-        q, energy = found[rows, 2:], found[rows, 1]
+        walker, descents = self._descents
+        rows = self._unique[:N_LISTED]
+        q, energy = descents[rows, 2:], descents[rows, 1]
         alpha = self.chain.structure.alpha_carbons
-        at = [pose(self.chain, each).x[alpha] for each in q]
+        at = [pose(self.chain, torsions).x[alpha] for torsions in q]
         phi, psi = conformers.backbone(self.chain, q)
         free = np.full((len(rows), 2), np.nan)
-        for k, each in enumerate(q[:FREE]):
-            free[k] = self._free(each, float(energy[k]))
+        for k, torsions in enumerate(q[:N_FREE_ENERGIES]):
+            free[k] = self._free(torsions, float(energy[k]))
         return pd.DataFrame(
             {
                 "minimum": np.arange(1, len(rows) + 1),
                 "energy_kj_mol": energy,
                 "above_lowest_kj_mol": energy - energy[0],
-                "ca_rmsd_to_lowest_angstrom": [rmsd_angstrom(each, at[0]) for each in at],
+                "ca_rmsd_to_lowest_angstrom": [rmsd_angstrom(x, at[0]) for x in at],
                 "cluster": clusters(at),
                 "conformer": conformers.names(phi, psi),
                 "helix_share": conformers.helix(phi, psi),
                 "free_energy_kj_mol": free[:, 0] - free[0, 0],
                 "free_energy_rigid_kj_mol": free[:, 1] - free[0, 1],
                 "walker": walker[rows],
-                "evaluations_of_walker": found[rows, 0].astype(np.int64),
+                "evaluations_of_walker": descents[rows, 0].astype(np.int64),
             }
         )
 
@@ -184,19 +184,19 @@ class Search(Value):
         return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)
 
     @cached_property
-    def _sampled(self) -> list[tuple[Any, Floats]]:
+    def _sampling(self) -> list[tuple[Any, Floats]]:
         """State and samples (k, r, n + 1) of each walk of replicas that has any; others are in the pilot."""
         walks = zip(self.states, self.findings, strict=True)
-        return [(state, each.samples) for state, each in walks if len(each.samples) > 1 / WARM_UP]
+        return [(state, finding.samples) for state, finding in walks if len(finding.samples) > 1 / WARM_UP]
 
     @property
     def _samples(self) -> list[Floats]:
-        return [samples for _, samples in self._sampled]
+        return [samples for _, samples in self._sampling]
 
     @property
     def temperatures(self) -> Floats:
         """(r,) float, K: where the pilot has placed the replicas; empty without any."""
-        return self._sampled[0][0].temperatures if self._sampled else np.empty(0)
+        return self._sampling[0][0].temperatures if self._sampling else np.empty(0)
 
     @cached_property
     def populations(self) -> pd.DataFrame:
@@ -208,12 +208,12 @@ class Search(Value):
         import pandas as pd
 
         rows = []
-        known = [state for state, _ in self._sampled]
-        odds, rounds = sum(state.odds for state in known), sum(state.n_counted for state in known)
+        states = [state for state, _ in self._sampling]
+        odds, rounds = sum(state.odds for state in states), sum(state.n_counted for state in states)
         for k, temperature in enumerate(self.temperatures):
-            energy = mean_and_error([each[:, k, 0] for each in self._samples])
+            energy = mean_and_error([walk[:, k, 0] for walk in self._samples])
             folded = mean_and_error(
-                [conformers.helix(*conformers.backbone(self.chain, each[:, k, 1:])) for each in self._samples]
+                [conformers.helix(*conformers.backbone(self.chain, walk[:, k, 1:])) for walk in self._samples]
             )
             row = {
                 "temperature_k": float(temperature),
@@ -238,34 +238,34 @@ class Search(Value):
 
         if not self._samples:
             return pd.DataFrame(columns=["temperature_k", "conformer", "share", "share_error"])
-        named = [conformers.names(*conformers.backbone(self.chain, each[:, :, 1:])) for each in self._samples]
-        counted, counts = np.unique(np.concatenate([each.ravel() for each in named]), return_counts=True)
-        frequent = counted[np.argsort(-counts, kind="stable")][:NAMED]
+        names = [conformers.names(*conformers.backbone(self.chain, walk[:, :, 1:])) for walk in self._samples]
+        counted, counts = np.unique(np.concatenate([walk.ravel() for walk in names]), return_counts=True)
+        frequent = counted[np.argsort(-counts, kind="stable")][:N_NAMED]
         rows = []
         for k, temperature in enumerate(self.temperatures):
             for name in frequent:
-                share = mean_and_error([(each[:, k] == name).astype(float) for each in named])
+                share = mean_and_error([(walk[:, k] == name).astype(float) for walk in names])
                 rows.append((float(temperature), str(name), float(share[0]), float(share[1])))
         return pd.DataFrame(rows, columns=["temperature_k", "conformer", "share", "share_error"])
 
     def _slope(self, k: int) -> tuple[float, float]:
         """Slope of the histograms at a temperature and the next over the canonical one, and its error."""
-        pairs = [warm(each)[:, k : k + 2, 0] for each in self._samples]
+        pairs = [drop_warm_up(samples)[:, k : k + 2, 0] for samples in self._samples]
         beta = 1.0 / (MOLAR_GAS * self.temperatures[[k, k + 1]])
-        wanted = float(beta[0] - beta[1])
-        parts = [part for each in pairs for part in blocked(each)]
+        canonical = float(beta[0] - beta[1])
+        parts = [part for pair in pairs for part in blocks_of(pair)]
         # Each block left out in turn.
         n = len(parts)
         without = [slope(*np.concatenate(parts[:i] + parts[i + 1 :]).T) for i in range(n)]
         error = np.sqrt((n - 1) * np.var(without)) if n > 1 else np.nan
-        return slope(*np.concatenate(pairs).T) / wanted, float(error) / wanted
+        return slope(*np.concatenate(pairs).T) / canonical, float(error) / canonical
 
     def record(self) -> dict[str, Any]:
         """Flat record, as written to ``summary.json``."""
         from protochain.results.provenance import of_run
 
-        known = [state for state in self.states if state is not None]
-        its = {name: value for name, value in self.settings.record().items() if name != "temperatures"}
+        states = [state for state in self.states if state is not None]
+        settings = {name: value for name, value in self.settings.record().items() if name != "temperatures"}
         return {
             "structure": self.chain.structure.name,
             "energy_lowest_kj_mol": self.energy,
@@ -273,12 +273,12 @@ class Search(Value):
             "n_walks_at_lowest": self.n_walks_at_lowest,
             "agreement": self.agreement,
             "evaluations": self.n_evaluations,
-            "steps": sum(state.n_done for state in known),
-            "acceptance": sum(state.acceptance for state in known) / len(known),
-            "round_trips": sum(state.n_trips for state, _ in self._sampled) if self._sampled else None,
+            "steps": sum(state.n_done for state in states),
+            "acceptance": sum(state.acceptance for state in states) / len(states),
+            "round_trips": sum(state.n_trips for state, _ in self._sampling) if self._sampling else None,
             "seconds": self.seconds,
             "interrupted": self.interrupted,
-            **its,
+            **settings,
             "temperature_lowest_k": self.settings.temperatures[0],
             "temperature_highest_k": self.settings.temperatures[1],
             "temperatures_k": self.temperatures.tolist(),
@@ -294,9 +294,9 @@ class Search(Value):
 
     def save(self, folder: str | Path) -> None:
         """Write tables, the lowest minima as PDB files, ``summary.json`` and the page ``report.html``."""
-        from protochain.searching.folder import drawn, write_search
+        from protochain.searching.folder import draw_minima, write_search
 
-        figure = drawn(self.minima, [found.minima for found in self.findings], self.energy)
+        figure = draw_minima(self.minima, [finding.minima for finding in self.findings], self.energy)
         populations = self.populations if len(self.temperatures) else None
         write_search(
             Path(folder), self.record(), self.minima, self.structure, self.ends(), figure, populations,

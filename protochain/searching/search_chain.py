@@ -25,10 +25,10 @@ from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import (
     SECONDS,
-    Done,
     Finding,
     Method,
     Piece,
+    PieceEnd,
     advance,
     read_piece,
     write_piece,
@@ -129,8 +129,8 @@ def search(
     >>> len(found.minima) > 0
     True
     """
-    given = locals()
-    settings, running = settings_from(SearchSettings, given), settings_from(SearchRunSettings, given)
+    arguments = locals()
+    settings, running = settings_from(SearchSettings, arguments), settings_from(SearchRunSettings, arguments)
     folder = None if output is None else Path(output)
     if folder is None and resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")
@@ -144,19 +144,19 @@ def search(
         interrupted = _work(walks, running, processes, watch)
         if not walks.have_begun:
             raise KeyboardInterrupt
-        found = Search(
-            landscape, settings, tuple(walks.states), tuple(map(Finding.joined, walks.found)),
+        result = Search(
+            landscape, settings, tuple(walks.states), tuple(map(Finding.concatenate, walks.findings)),
             perf_counter() - began, interrupted,
         )  # fmt: skip
-        if not len(found.q):
+        if not len(result.q):
             raise ProtochainError(
                 f"{landscape.chain.structure.name}: no descent ended at a finite energy; "
                 "give another start or energy"
             )
         if folder is not None:
             with held_interrupts():
-                found.save(folder)
-    return found
+                result.save(folder)
+    return result
 
 
 def method_of(settings: SearchSettings, walker: int) -> Method:
@@ -191,8 +191,8 @@ class _Walks:
         self.landscape, self.folder = landscape, folder
         self.methods = tuple(method_of(settings, k) for k in range(settings.n_walkers))
         self.states: list[Any] = [None] * settings.n_walkers
-        self.found: list[list[Finding]] = [
-            [Finding.none(landscape.chain.n_hinges, settings.n_replicas * (settings.method == "tempering"))]
+        self.findings: list[list[Finding]] = [
+            [Finding.empty(landscape.chain.n_hinges, settings.n_replicas * (settings.method == "tempering"))]
             for _ in self.methods
         ]
         self.identity = {
@@ -220,23 +220,23 @@ class _Walks:
                     f"{piece}: the piece before it is missing; put it back, or search again with ",
                     Argument("force", True),
                 )
-            state, found = read_piece(piece, kind, self.identity)
+            state, finding = read_piece(piece, kind, self.identity)
             self.states[walker] = state
-            self.found[walker].append(found)
+            self.findings[walker].append(finding)
             self.n_pieces[walker] = number + 1
 
     @staticmethod
     def _path(folder: Path, walker: int, number: int) -> Path:
         return folder / "pieces" / f"walker-{walker}" / f"{number:06d}.npz"
 
-    def take(self, walker: int, state: Any, found: Finding) -> None:
+    def take(self, walker: int, state: Any, finding: Finding) -> None:
         """Keep a piece; what is on the disk is complete."""
         if state is None or state is self.states[walker]:
             return
         if self.folder is not None:
-            write_piece(self._path(self.folder, walker, self.n_pieces[walker]), state, found, self.identity)
+            write_piece(self._path(self.folder, walker, self.n_pieces[walker]), state, finding, self.identity)
         self.states[walker] = state
-        self.found[walker].append(found)
+        self.findings[walker].append(finding)
         self.n_pieces[walker] += 1
 
     @property
@@ -251,12 +251,12 @@ class _Walks:
 
     def progress(self, budget: float, share_of_time: float) -> SearchProgress:
         """How far all of them are."""
-        known = [state for state in self.states if state is not None]
-        done = sum(state.n_evaluations for state in known)
-        energies = [each.minima[:, 1].min() for its in self.found for each in its if len(each.minima)]
+        states = [state for state in self.states if state is not None]
+        evaluations = sum(state.n_evaluations for state in states)
+        energies = [piece.minima[:, 1].min() for walk in self.findings for piece in walk if len(piece.minima)]
         return SearchProgress(
-            done, budget, max(share_of_time, done / budget), float(min(energies)),
-            sum(state.acceptance for state in known) / len(known),
+            evaluations, budget, max(share_of_time, evaluations / budget), float(min(energies)),
+            sum(state.acceptance for state in states) / len(states),
         )  # fmt: skip
 
 
@@ -273,8 +273,8 @@ def _work(
     def left() -> float:
         return seconds - (perf_counter() - began)
 
-    def take(walker: int, state: Any, found: Finding) -> None:
-        walks.take(walker, state, found)
+    def take(walker: int, state: Any, finding: Finding) -> None:
+        walks.take(walker, state, finding)
         if watch and walks.have_begun:
             watch(walks.progress(running.budget, (perf_counter() - began) / seconds))
 
@@ -292,8 +292,8 @@ def _work(
                     if interrupts:
                         return True
             return False
-        given = walks.landscape, walks.methods
-        with shared_file(given, walks.folder) as task, open_workers(processes) as workers:
+        shared = walks.landscape, walks.methods
+        with shared_file(shared, walks.folder) as task, open_workers(processes) as workers:
             pieces = Submitted(workers, processes)
             return _hand_out(walks, task, pieces, share, left, take, interrupts)
 
@@ -328,14 +328,14 @@ def _hand_out(
                 continue
         walker = piece.walker
         idle.add(walker)
-        rows: list[Done] = future.result()
-        (done,) = rows
-        if done.found is not None:
+        rows: list[PieceEnd] = future.result()
+        (end,) = rows
+        if end.finding is not None:
             failures[walker] = 0
-            take(walker, done.state, done.found)
+            take(walker, end.state, end.finding)
         elif failures[walker] + 1 >= _ATTEMPTS:
             raise ProtochainError(
-                f"walker {walker}: {done.message}; what was found before is in the folder, ",
+                f"walker {walker}: {end.message}; what was found before is in the folder, ",
                 Argument("resume", True), " goes on",
             )  # fmt: skip
         else:

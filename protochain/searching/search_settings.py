@@ -24,9 +24,9 @@ def _up_to_most(least: int) -> Check:
 
 def interval(value: Any, name: str) -> tuple[float, float]:
     """Return two temperatures, K, the lower first, also of a text ``300-600``."""
-    given = value.split("-") if isinstance(value, str) else plain(value, "kelvin", name)
+    parts = value.split("-") if isinstance(value, str) else plain(value, "kelvin", name)
     try:
-        low, high = (float(each) for each in given)
+        low, high = (float(part) for part in parts)
     except (TypeError, ValueError):
         low = high = math.nan
     if not _LOWEST <= low < high <= _HIGHEST:
@@ -84,7 +84,7 @@ class SearchSettings(Settings):
 
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
-        plain = vars(self) | {"restraint": [str(each) for each in self.restraint] or None}
+        plain = vars(self) | {"restraint": [str(restraint) for restraint in self.restraint] or None}
         return plain | {"temperatures": [*self.temperatures]}
 
 

@@ -11,13 +11,13 @@ BLOCKS = 10
 """Of each walk; the error of an error from n blocks is 1 / sqrt(2 n) of it."""
 
 
-def blocked(series: Floats) -> Floats:
+def blocks_of(series: Floats) -> Floats:
     """Equal parts (b, k, ...) of a series (n, ...), of which what does not fit is left out at the start."""
     n = max(min(BLOCKS, len(series)), 1)
     return series[len(series) % n :].reshape(n, -1, *series.shape[1:])
 
 
-def warm(walk: Floats) -> Floats:
+def drop_warm_up(walk: Floats) -> Floats:
     """Leave out the beginning of a walk (k, ...)."""
     return walk[int(WARM_UP * len(walk)) :]
 
@@ -25,7 +25,7 @@ def warm(walk: Floats) -> Floats:
 def mean_and_error(walks: list[Floats]) -> tuple[Floats, Floats]:
     """Mean of walks (k, ...) and its standard error, from blocks of all of them."""
     # It is right if a block is longer than the memory of a walk; of walks that have not come far, too small.
-    parts = np.concatenate([blocked(warm(walk)).mean(axis=1) for walk in walks])
+    parts = np.concatenate([blocks_of(drop_warm_up(walk)).mean(axis=1) for walk in walks])
     error = np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts)) if len(parts) > 1 else np.nan * parts[0]
     return np.mean(parts, axis=0), np.asarray(error)
 

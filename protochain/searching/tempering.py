@@ -22,7 +22,7 @@ STAGES = 3
 same pilot, so that all have the same temperatures and none waits for others."""
 QUENCHED = 5
 """Rounds from one descent to the next, which begins at each temperature in turn."""
-WANTED = 0.8
+TARGET = 0.8
 """Share of trajectories that is accepted with the time step at which a pilot ends."""
 _GAIN = 0.1
 _STEPS = 0.002, 0.04
@@ -40,7 +40,7 @@ class Tempering(Value):
     replica: Floats  # (r,): Number of the replica at each temperature.
     # (r,): Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
     heading: Floats
-    # (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be exchanged.
+    # (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be exchange.
     odds: Floats
     accepted: float  # Sum over these rounds of the share of trajectories that was accepted.
     n_counted: int  # These rounds.
@@ -69,34 +69,34 @@ class Replicas:
 
     def begin(self, landscape: Landscape) -> tuple[Tempering, Finding]:
         """Put all replicas at the minimum to which the chain descends."""
-        done = landscape.minimise(landscape.chain.q0)
+        end = landscape.minimise(landscape.chain.q0)
         r = self.n_replicas
         state = Tempering(
-            read_only([done.q] * r), read_only([done.energy] * r),
+            read_only([end.q] * r), read_only([end.energy] * r),
             read_only(geometric(*self.temperatures, r)), read_only(np.full(r, 2.0 * defaults.TIME_STEP)),
             read_only(np.arange(r)), read_only(np.zeros(r)), read_only(np.zeros(r - 1)),
-            0.0, 0, 0, done.n_evaluations, 0,
+            0.0, 0, 0, end.n_evaluations, 0,
         )  # fmt: skip
-        return state, Finding.minimum(done.q, done.energy, done.n_evaluations, r)
+        return state, Finding.minimum(end.q, end.energy, end.n_evaluations, r)
 
     def step(self, landscape: Landscape, state: Tempering) -> tuple[Tempering, Finding]:
         """Let every replica move by a trajectory, then exchange neighbours, every other pair in turn."""
         number, r = state.n_done + 1, self.n_replicas
-        own = 0 if number <= self.pilot else self.walker
-        swept = [
+        walker = 0 if number <= self.pilot else self.walker
+        runs = [
             landscape.sweep(
                 state.q[k], float(state.temperatures[k]), float(state.time_steps[k]), 1,
-                int(noise(self.seed, number, stream(own, k)).integers(2**63)),
+                int(noise(self.seed, number, stream(walker, k)).integers(2**63)),
             )
             for k in range(r)
         ]  # fmt: skip
-        q, energy = np.array([each.q for each in swept]), np.array([each.energies[-1] for each in swept])
-        kept = np.array([each.accepted for each in swept])
-        random = noise(self.seed, number, stream(own))
-        order, odds = exchanged(energy, state.temperatures, number % 2, random)
+        q, energy = np.array([run.q for run in runs]), np.array([run.energies[-1] for run in runs])
+        acceptances = np.array([run.accepted for run in runs])
+        random = noise(self.seed, number, stream(walker))
+        order, odds = exchange(energy, state.temperatures, number % 2, random)
         replica = state.replica[order]
-        heading, trips = headed(state.heading, replica)
-        n_evaluations = state.n_evaluations + sum(each.n_evaluations for each in swept)
+        heading, trips = update_headings(state.heading, replica)
+        n_evaluations = state.n_evaluations + sum(run.n_evaluations for run in runs)
         after = replace(
             state,
             q=read_only(q[order]),
@@ -104,27 +104,27 @@ class Replicas:
             replica=read_only(replica),
             heading=read_only(heading),
             odds=read_only(state.odds + odds),
-            accepted=state.accepted + float(kept.mean()),
+            accepted=state.accepted + float(acceptances.mean()),
             n_counted=state.n_counted + 1,
             n_done=number,
             n_evaluations=n_evaluations,
             n_trips=state.n_trips + trips,
         )
         if number <= self.pilot:
-            return self._adapted(after, kept), Finding.none(q.shape[1], r)
-        found = Finding(
+            return self._adapt(after, acceptances), Finding.empty(q.shape[1], r)
+        finding = Finding(
             np.empty((0, q.shape[1] + 2)), np.concatenate([after.energy[:, None], after.q], axis=1)[None]
         )
         if number % QUENCHED:
-            return after, found
-        done = landscape.minimise(after.q[number // QUENCHED % r])
-        n_evaluations += done.n_evaluations
-        minimum = Finding.minimum(done.q, done.energy, n_evaluations, r)
-        return replace(after, n_evaluations=n_evaluations), Finding.joined([found, minimum])
+            return after, finding
+        end = landscape.minimise(after.q[number // QUENCHED % r])
+        n_evaluations += end.n_evaluations
+        minimum = Finding.minimum(end.q, end.energy, n_evaluations, r)
+        return replace(after, n_evaluations=n_evaluations), Finding.concatenate([finding, minimum])
 
-    def _adapted(self, state: Tempering, kept: Floats) -> Tempering:
+    def _adapt(self, state: Tempering, acceptances: Floats) -> Tempering:
         """Follow the acceptance by the time steps; at the end of a stage place the temperatures anew."""
-        steps = np.clip(state.time_steps * np.exp(_GAIN * (kept - WANTED)), *_STEPS)
+        steps = np.clip(state.time_steps * np.exp(_GAIN * (acceptances - TARGET)), *_STEPS)
         state = replace(state, time_steps=read_only(steps))
         if state.n_done not in [self.pilot * k // STAGES for k in range(1, STAGES + 1)]:
             return state
@@ -140,12 +140,12 @@ class Replicas:
         )  # fmt: skip
 
 
-def exchanged(
+def exchange(
     energy: Floats, temperatures: Floats, first: int, random: np.random.Generator
 ) -> tuple[np.ndarray, Floats]:
     """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ..."""
     # energy (r,) kJ/mol, temperatures (r,) K -> (r,) int: Which torsions each temperature has afterwards ->
-    # (r - 1,): Probability with which each pair would be exchanged, also of those that are not tried.
+    # (r - 1,): Probability with which each pair would be exchange, also of those that are not tried.
     beta = 1.0 / (MOLAR_GAS * temperatures)
     order = np.arange(len(energy))
     odds = np.exp(np.minimum(0.0, np.diff(beta) * np.diff(energy)))
@@ -155,7 +155,7 @@ def exchanged(
     return order, odds
 
 
-def headed(heading: Floats, replica: Floats) -> tuple[Floats, int]:
+def update_headings(heading: Floats, replica: Floats) -> tuple[Floats, int]:
     """Note which replicas are at the ends; return also how many came back to the lowest temperature."""
     heading = heading.copy()
     lowest, highest = int(replica[0]), int(replica[-1])

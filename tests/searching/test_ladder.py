@@ -6,7 +6,7 @@ from scipy.special import erfc
 
 from protochain.core.units import MOLAR_GAS
 from protochain.searching.ladder import equally_spaced, geometric, length_of_acceptance
-from protochain.searching.tempering import exchanged, headed
+from protochain.searching.tempering import exchange, update_headings
 
 
 def test_exchanges_of_normal_energies_are_accepted_as_the_length_says():
@@ -41,7 +41,7 @@ def test_exchanges_keep_every_temperature_canonical():
     n, counts, moved = 20_000, np.zeros((3, 4)), 0
     for number in range(n):
         drawn = np.array([random.choice(4, p=its) for its in shares])
-        order, odds = exchanged(LEVELS[drawn], temperatures, number % 2, random)
+        order, odds = exchange(LEVELS[drawn], temperatures, number % 2, random)
         assert sorted(order) == [0, 1, 2] and order[2 - 2 * (number % 2)] == 2 - 2 * (number % 2)
         assert np.all(odds > 0.0) and np.all(odds <= 1.0)
         moved += order[0] != 0
@@ -54,7 +54,7 @@ def test_exchanges_keep_every_temperature_canonical():
 def test_round_trips_are_ways_up_and_back():
     heading, trips = np.zeros(3), 0
     for replica in ([0, 1, 2], [1, 0, 2], [1, 2, 0], [1, 2, 0], [1, 0, 2], [0, 1, 2], [0, 1, 2]):
-        heading, back = headed(heading, np.array(replica, dtype=float))
+        heading, back = update_headings(heading, np.array(replica, dtype=float))
         trips += back
     # Replica 0 was at the bottom, the top, and the bottom again; 2 began at the top.
     assert trips == 1 and heading.tolist() == [1.0, 1.0, 0.0]

@@ -5,7 +5,7 @@ import pytest
 
 import protochain as pc
 from protochain.searching.conformers import backbone
-from protochain.searching.moves import NONE, Moves, anywhere, crossed, moved
+from protochain.searching.moves import NONE, Moves, apply_move, cross_over, random_torsions
 from protochain.searching.moves import backbone as favoured
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation.layout import peptides
@@ -31,7 +31,7 @@ def test_hinges_are_sorted_by_residue():
     assert phe.chi == (place[own["2", "chi1"]], place[own["2", "chi2"]])
     assert pro.phi == NONE and names["ALA"].phi == NONE
     assert [each.is_last for each in moves.residues] == [False] * 4 + [True]
-    assert len(moves.others) == sum(h.kind == "rotor" for h in chain.hinges) > 0
+    assert len(moves.other_hinges) == sum(h.kind == "rotor" for h in chain.hinges) > 0
     longer, of_classes = moves_of("AFPGIVTGPA")
     plot = ramachandran(longer.structure)
     assert [each.kind for each in of_classes.residues[1:-1]] == plot.kind.tolist()
@@ -56,7 +56,7 @@ def test_the_backbone_goes_to_favoured_regions_of_its_own_residue():
     by_phi = {each.phi: each for each in moves.residues if each.phi != NONE}
     seen = set()
     for _ in range(300):
-        after = moved(moves, "backbone", chain.q0, 1.0, random)
+        after = apply_move(moves, "backbone", chain.q0, 1.0, random)
         where = changed(chain.q0, after)
         residue = next((by_phi[k] for k in where if k in by_phi), None)
         if residue is None:
@@ -72,10 +72,12 @@ def test_the_backbone_goes_to_favoured_regions_of_its_own_residue():
 def test_a_new_start_has_every_residue_in_its_favoured_regions():
     chain, moves = moves_of("AFIGPMA", "phi psi chi polar")
     random = np.random.default_rng(0)
-    starts = np.array([anywhere(moves, chain.n_q, random) for _ in range(100)])
+    starts = np.array([random_torsions(moves, chain.n_q, random) for _ in range(100)])
     # About as far from each other as angles can be, on average over all hinges.
     assert np.all(np.abs(np.exp(1j * starts).mean(axis=0)) < 0.97)
-    assert len(moves.others) and np.all(np.abs(np.exp(1j * starts[:, moves.others]).mean(axis=0)) < 0.35)
+    assert len(moves.other_hinges) and np.all(
+        np.abs(np.exp(1j * starts[:, moves.other_hinges]).mean(axis=0)) < 0.35
+    )
     for residue in moves.residues:
         if min(residue.phi, residue.psi) >= 0:
             phi, psi = np.rad2deg(starts[:, [residue.phi, residue.psi]]).T
@@ -94,7 +96,7 @@ def test_a_residue_of_the_other_hand_goes_to_the_mirror_image():
     (residue,) = [each for each in moves.residues if each.name == "ILE"]
     other = Moves((replace(residue, mirror=-1.0),), (), ())
     same, mirrored = (
-        moved(its, "backbone", chain.q0, 1.0, np.random.default_rng(3))[[residue.phi, residue.psi]]
+        apply_move(its, "backbone", chain.q0, 1.0, np.random.default_rng(3))[[residue.phi, residue.psi]]
         for its in (Moves((residue,), (), ()), other)
     )
     assert mirrored == pytest.approx(-same, abs=1e-12)
@@ -108,7 +110,7 @@ def test_side_chains_go_to_rotamers():
     random = np.random.default_rng(0)
     near, which = [], set()
     for _ in range(200):
-        after = moved(moves, "rotamer", chain.q0, 1.0, random)
+        after = apply_move(moves, "rotamer", chain.q0, 1.0, random)
         assert changed(chain.q0, after) == set(met.chi)
         away = np.abs((after[list(met.chi)] - usual + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
         near.append(away.min())
@@ -122,7 +124,7 @@ def test_a_crankshaft_turns_the_ends_little_against_each_other():
     random = np.random.default_rng(1)
     ends = [np.flatnonzero(chain.structure.atom_residue == r) for r in (0, 5)]
     for _ in range(20):
-        after = moved(moves, "crankshaft", chain.q0, 0.3, random)
+        after = apply_move(moves, "crankshaft", chain.q0, 0.3, random)
         (psi, phi) = next(pair for pair in moves.flips if set(pair) == changed(chain.q0, after))
         turn = after[psi] - chain.q0[psi]
         assert after[phi] - chain.q0[phi] == pytest.approx(-turn, abs=1e-12)
@@ -153,7 +155,7 @@ def test_a_crossing_has_every_torsion_from_one_of_two_and_keeps_together_what_be
     assert sorted(k for part in moves.parts for k in part) == list(range(chain.n_q))
     seen = set()
     for _ in range(300):
-        after = crossed(moves, q, other, random)
+        after = cross_over(moves, q, other, random)
         assert set(after.tolist()) <= {0.0, 1.0} and after.any() and not q.any()
         where = changed(q, after)
         seen.add(

@@ -16,11 +16,11 @@ from protochain.batches import cluster
 from protochain.chains.restraint_list import Restraints
 from protochain.core.storage import temporary_stem
 from protochain.searching import csa, search_chain
-from protochain.searching.folder import COLOURS, drawn
-from protochain.searching.hopping import ADAPTED, metropolis
-from protochain.searching.landscape import Descended, Landscape
+from protochain.searching.folder import COLOURS, draw_minima
+from protochain.searching.hopping import N_ADAPTIVE, metropolis
+from protochain.searching.landscape import DescentEnd, Landscape
 from protochain.searching.minima import Symmetry
-from protochain.searching.pieces import Done, Finding, advance, read_piece, write_piece
+from protochain.searching.pieces import Finding, PieceEnd, advance, read_piece, write_piece
 from protochain.searching.search_settings import SearchSettings
 
 SMALL = {"n_walkers": 2, "seed": 3}
@@ -169,10 +169,10 @@ def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     landscape = Landscape.of(*peptide)
     method = search_chain.method_of(SearchSettings(method="hopping"), 0)
     state, sizes = None, []
-    while state is None or state.n_done < ADAPTED + 30:
+    while state is None or state.n_done < N_ADAPTIVE + 30:
         state, _ = method.begin(landscape) if state is None else method.step(landscape, state)
         sizes.append(state.size)
-    assert len(set(sizes[:ADAPTED])) > 5 and len(set(sizes[ADAPTED:])) == 1
+    assert len(set(sizes[:N_ADAPTIVE])) > 5 and len(set(sizes[N_ADAPTIVE:])) == 1
 
 
 FULL_TURNS = Symmetry(np.full(2, 2.0 * np.pi), np.zeros((0, 2), dtype=np.int64))
@@ -201,7 +201,7 @@ def bank(q, energies, **more):
 )
 def test_a_minimum_displaces_a_higher_one_near_it_or_the_highest(q, energy, energies, tried):
     before = bank([[0.0, 0.0], [2.0, 2.0], [-2.0, 2.0]], [0.0, 5.0, 1.0])
-    after = csa.entered(before, Descended(np.array(q), energy, 7), FULL_TURNS)
+    after = csa.add_minimum(before, DescentEnd(np.array(q), energy, 7), FULL_TURNS)
     assert after.energies.tolist() == energies and after.tried.tolist() == tried
     assert after.n_accepted == (energies != before.energies.tolist())
     assert csa.NARROW < after.width < before.width
@@ -209,7 +209,7 @@ def test_a_minimum_displaces_a_higher_one_near_it_or_the_highest(q, energy, ener
 
 def test_random_minima_set_what_is_near_and_join_again_after_some_rounds():
     few = bank(np.zeros((csa.BANK - 1, 2)), np.arange(csa.BANK - 1.0), room=csa.BANK, width=csa.NARROW)
-    full = csa.joined(few, Descended(np.array([1.0, -1.0]), 3.0, 7), FULL_TURNS)
+    full = csa.add_random(few, DescentEnd(np.array([1.0, -1.0]), 3.0, 7), FULL_TURNS)
     # Of n (n - 1) / 2 pairs, n - 1 are 2 apart.
     assert (full.mean, full.width) == (pytest.approx(4.0 / csa.BANK), csa.WIDE)
     tried = replace(full, tried=np.full(csa.BANK, float(csa.TRIALS)))
@@ -373,11 +373,11 @@ def test_a_search_outlives_lost_pieces_in_a_row_but_not_the_same_for_ever(lost, 
         def submit(self, piece):
             handed.append(piece)
 
-        def ended(self, _):
+        def wait_for_next(self, _):
             piece, future = handed.pop(0), Future()
             ends.append(piece.walker)
             is_lost = piece.walker == 1 and ends.count(1) <= lost
-            future.set_result([Done(piece.walker, None, None if is_lost else Finding.none(1), "killed")])
+            future.set_result([PieceEnd(piece.walker, None, None if is_lost else Finding.empty(1), "killed")])
             return piece, future
 
     def search():
@@ -439,7 +439,7 @@ def test_each_minimum_is_drawn_once_in_the_look_of_its_cluster_or_of_the_others(
         "above_lowest_kj_mol": np.arange(n) * 2.0,
     })  # fmt: skip
     walk = np.array([[1.0, 9.0], [4.0, 11.0], [6.0, 5.0]])
-    left, right = drawn(table, [walk], 5.0).axes
+    left, right = draw_minima(table, [walk], 5.0).axes
     shown = np.concatenate([np.asarray(each.get_offsets()) for each in left.collections])
     assert sorted(shown[:, 0].tolist()) == np.arange(n).tolist() and np.all(shown[:, 1] == 2.0 * shown[:, 0])
     keys = [each.get_label() for each in left.collections]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protochain.core.units import MOLAR_GAS
-from protochain.searching.statistics import BLOCKS, blocked, mean_and_error, slope, warm
+from protochain.searching.statistics import BLOCKS, blocks_of, drop_warm_up, mean_and_error, slope
 
 LOW, HIGH = (1.0 / (MOLAR_GAS * each) for each in (300.0, 360.0))
 
@@ -56,7 +56,7 @@ def test_errors_of_series_with_a_memory_are_those_of_their_spread():
 
 def test_parts_are_the_series_but_for_its_beginning():
     series = np.arange(47.0)
-    parts = blocked(series)
+    parts = blocks_of(series)
     assert parts.shape == (BLOCKS, 4) and parts.ravel().tolist() == series[7:].tolist()
-    assert blocked(series[:3]).tolist() == [[0.0], [1.0], [2.0]]
-    assert warm(series)[0] == 4.0
+    assert blocks_of(series[:3]).tolist() == [[0.0], [1.0], [2.0]]
+    assert drop_warm_up(series)[0] == 4.0
