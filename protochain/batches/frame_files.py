@@ -162,7 +162,7 @@ class _Files:
             binary = trajectory.with_suffix(".dcd") if _in_text(trajectory) else trajectory
             place = tuple(resumed["trajectory"]) if resumed["trajectory"] else None
             self.trajectory = TrajectoryFile(
-                binary, ensemble.structure, kept=place, hydrogens=hydrogens or _in_text(trajectory)
+                binary, ensemble.structure, resume_at=place, hydrogens=hydrogens or _in_text(trajectory)
             )
             if not _in_text(trajectory):
                 self.topology = _topology_path(trajectory, ensemble)
@@ -215,7 +215,7 @@ class _Files:
         """Write the buffers and the checkpoint to the disk."""
         with self._saved():
             n_bytes = self.rows.stored()
-            place = self.trajectory.stored() if self.trajectory else None
+            place = self.trajectory.sync() if self.trajectory else None
         state = {
             "rows": self.n_rows, "sound": self.n_sound, "bytes": n_bytes, "trajectory": place,
             "counts": dict(self.counts),

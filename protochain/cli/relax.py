@@ -123,12 +123,12 @@ def _output_of_frames(frames: Path) -> Path:
     """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
     from protochain.structure.formats.files import format_of
-    from protochain.structure.formats.trajectory import WRITTEN
+    from protochain.structure.formats.trajectory import FORMATS
 
     if format_of(frames):
         return Path(relaxed_name(frames))
     suffix = frames.suffix.lower()
-    return Path(f"{relaxed_stem(frames.stem)}{suffix if suffix in WRITTEN else WRITTEN[0]}")
+    return Path(f"{relaxed_stem(frames.stem)}{suffix if suffix in FORMATS else FORMATS[0]}")
 
 
 def _one(

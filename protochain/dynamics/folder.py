@@ -132,7 +132,7 @@ class Folder:
 
     def store(self, state: State, lists_at: Floats | None) -> None:
         """Write a checkpoint, after flushing to disk the frames and rows that it counts."""
-        frames, trajectory_bytes = self._frames.stored()
+        frames, trajectory_bytes = self._frames.sync()
         with writing(self.log):
             log_bytes = self._rows.stored()
         values = {

@@ -80,7 +80,7 @@ class Ensemble(Value):
 
     def _positions(self, frame: Frame) -> Floats:
         if frame.x is None:
-            raise StructureError(frame.why)
+            raise StructureError(frame.error)
         s, x = self.structure, np.full((self.structure.n_atoms, 3), np.nan)
         x[self._known] = frame.x[self.place[self._known]]
         strange = self._known[~(np.abs(x[self._known]) < _FARTHEST).all(axis=1)]

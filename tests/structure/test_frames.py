@@ -11,7 +11,7 @@ from fixtures.samples import load
 from fixtures.tolerances import IDEAL_NM, PDB_NM, SINGLE_NM, XTC_NM
 
 import protochain as pc
-from protochain.structure.formats.frames import Reading, backbones, open_frames, selection
+from protochain.structure.formats.frames import Reading, backbones, frame_slice, open_frames
 
 SMALL = "1l2y.pdb"
 BOX = np.array([[5.0, 0.0, 0.0], [1.0, 4.5, 0.0], [0.5, -0.7, 4.0]])
@@ -61,7 +61,7 @@ def test_a_model_of_other_atoms_is_named_and_the_others_are_read(tmp_path, x):
             lines.append(line)
     path.write_text("".join(lines))
     first, second, third = open_frames(path)
-    assert second.x is None and "A/6/TRP/CB" in second.why
+    assert second.x is None and "A/6/TRP/CB" in second.error
     assert first.x is not None and third.x is not None
 
 
@@ -73,7 +73,7 @@ def test_a_file_that_is_cut_short_names_the_frame_in_which_it_ends(tmp_path, x, 
     path.write_bytes(whole[: int(len(whole) * 0.62)])
     read = [*open_frames(path)]
     assert [each.x is None for each in read] == [False] * 4 + [True]
-    assert read[-1].index == 4 and "ends" in read[-1].why
+    assert read[-1].index == 4 and "ends" in read[-1].error
     assert np.abs(read[3].x - x[3]).max() < FORMATS[suffix]
 
 
@@ -195,13 +195,13 @@ def test_residues_frames_put_backbones_where_the_crystal_has_them(tmp_path):
     ],
 )  # fmt: skip
 def test_frames_are_chosen_as_python_has_it(asked, chosen):
-    assert range(7)[selection(asked, "frames")] == chosen
+    assert range(7)[frame_slice(asked, "frames")] == chosen
 
 
 @pytest.mark.parametrize("asked", ["", "abc", "1:2:3:4", "::0", "1,3", ":::", "1.5", "--1"])
 def test_what_chooses_no_frames_is_refused(asked):
     with pytest.raises(pc.ProtochainError, match="START:STOP:STEP"):
-        selection(asked, "frames")
+        frame_slice(asked, "frames")
 
 
 def test_files_that_are_no_trajectories_are_refused_in_a_line(tmp_path, x):

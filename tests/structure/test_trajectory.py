@@ -26,11 +26,11 @@ def frames(path):
 
 
 def wrote(path, n, kept=None, **settings):
-    file = TrajectoryFile(path, S, kept=kept, **settings)
+    file = TrajectoryFile(path, S, resume_at=kept, **settings)
     told = []
     for _ in range(n):
         file.append(S.positions + 0.5 * file.n_frames)
-        told.append(file.stored())
+        told.append(file.sync())
     return file, told
 
 
@@ -109,7 +109,7 @@ def test_a_frame_that_cannot_be_read_is_refused_before_the_file_is_cut(suffix, t
     damaged[told[0][1] : told[0][1] + 4] = b"\x7f" * 4  # where the second frame begins
     path.write_bytes(damaged)
     with pytest.raises(pc.ProtochainError, match=r"cannot be continued \(.*\); start the run anew"):
-        TrajectoryFile(path, S, kept=told[2])
+        TrajectoryFile(path, S, resume_at=told[2])
     assert path.read_bytes() == damaged and list(tmp_path.iterdir()) == [path]
 
 
@@ -122,7 +122,7 @@ def test_a_file_that_lost_frames_is_refused(suffix, tmp_path):
         stream.truncate(told[1][1] - 1)
     for there in (file.part, path):
         with pytest.raises(pc.ProtochainError) as refused:
-            TrajectoryFile(path, S, kept=told[1])
+            TrajectoryFile(path, S, resume_at=told[1])
         assert str(refused.value) == f"{there}: has lost frames since its checkpoint; start the run anew"
         file.part.unlink(missing_ok=True)
 
@@ -135,7 +135,7 @@ def test_what_is_no_dcd_file_of_the_structure_is_refused_before_it_is_cut(tmp_pa
     for damaged in (b"X" + whole[1:], whole[:4] + b"DROC" + whole[8:], b"\0" * len(whole)):
         path.write_bytes(damaged)
         with pytest.raises(pc.ProtochainError) as refused:
-            TrajectoryFile(path, S, kept=told[1])
+            TrajectoryFile(path, S, resume_at=told[1])
         assert str(refused.value).startswith(f"{path}: cannot be continued (")
         assert path.read_bytes() == damaged and list(tmp_path.iterdir()) == [path]
 
@@ -144,7 +144,7 @@ def test_what_is_no_dcd_file_of_the_structure_is_refused_before_it_is_cut(tmp_pa
 def test_an_empty_file_is_there_from_the_beginning_and_gone_after_a_failure(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
     with TrajectoryFile(path, S) as file:
-        assert file.part.exists() and file.n_frames == 0 and file.stored()[0] == 0
+        assert file.part.exists() and file.n_frames == 0 and file.sync()[0] == 0
     assert list(tmp_path.iterdir()) == [path]
     path.unlink()
     with pytest.raises(KeyError), TrajectoryFile(path, S) as file:

@@ -30,7 +30,7 @@ from protochain.structure.formats.chain_splitting import (
 )
 from protochain.structure.formats.ions import name_ions
 from protochain.structure.formats.pdb_text import add_elements, is_atom, join_segments, remove_indents
-from protochain.structure.formats.records import of_cif, of_pdb
+from protochain.structure.formats.records import cif_header, pdb_header
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD, Residue
 from protochain.structure.molecule.templates import standard_name
@@ -96,21 +96,21 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file") from None
     overlooked: list[Repair] = []
     if path.suffix.lower() in foreign.SUFFIXES:
-        return _settled(foreign.by_mdanalysis(path), source, overlooked, True, "")
-    text = _text(path, source)
+        return _normalise(foreign.by_mdanalysis(path), source, overlooked, True, "")
+    text = _read_text(path, source)
     try:
         if _is_cif(text):
             text = _ascii(text, source, slice(None))
-            block, *others = _blocks_with_atoms(gemmi.cif.read_string(text), source)
-            if others:
-                names = tuple(each.name for each in others)
+            block, *other_blocks = _blocks_with_atoms(gemmi.cif.read_string(text), source)
+            if other_blocks:
+                names = tuple(unused_block.name for unused_block in other_blocks)
                 overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
-            ends = _ends_as_listed(text, block, source)
-            _complete(block, source)
-            structure, records = gemmi.make_structure_from_block(block), of_cif(block)
+            ends = _is_complete_cif(text, block, source)
+            _add_columns(block, source)
+            structure, records = gemmi.make_structure_from_block(block), cif_header(block)
         else:
             _refuse_cut_pdb(text, source)
-            text, long_names = _corrected(_ascii(text, source, _USED), source, overlooked)
+            text, long_names = _correct_pdb(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             # gemmi takes a short last line without an end for an incomplete one.
             # Split at TER: gemmi would join residues of two chains that share id, number and name.
@@ -118,16 +118,16 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             for residue, chain in ((r, c) for m in structure for c in m for r in c) if long_names else ():
                 place = residue.name, chain.name.strip(), str(residue.seqid).strip()
                 residue.name = long_names.get(place, residue.name)
-            records = of_pdb(text, structure)
+            records = pdb_header(text, structure)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
         reason = excerpt(" ".join(str(error).replace("string:", "line ").split()))
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
-    return _settled(structure, source, overlooked, ends, records)
+    return _normalise(structure, source, overlooked, ends, records)
 
 
-def _settled(
+def _normalise(
     structure: gemmi.Structure, source: str, overlooked: list[Repair], ends: bool, records: str
 ) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Number atoms, join what is one residue, and tell ions, chains and copies apart."""
@@ -137,13 +137,13 @@ def _settled(
     separate_caps(structure)
     overlooked += separate_chains(structure)
     structure.merge_chain_parts()
-    _without_oddities(structure)
+    _fill_missing(structure)
     check(structure, source)
     overlooked += separate_molecules(structure, source)
     return structure, overlooked, ends, records
 
 
-def _text(path: Path, source: str) -> str:
+def _read_text(path: Path, source: str) -> str:
     try:
         data = _standard_input(sys.stdin.buffer) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
@@ -162,8 +162,8 @@ def _text(path: Path, source: str) -> str:
     if b"dataBlocks" in data[:_HEAD]:
         return foreign.text_of_binary(data, source)
     # Editors of Windows write UTF-16, in which one of two bytes of each letter is 0.
-    for mark, odd, encoding in (codecs.BOM_UTF16_LE, 1, "utf-16-le"), (codecs.BOM_UTF16_BE, 0, "utf-16-be"):
-        if data.startswith(mark) or (len(data) > _HEAD and not any(data[odd:_HEAD:2])):
+    for mark, start, encoding in (codecs.BOM_UTF16_LE, 1, "utf-16-le"), (codecs.BOM_UTF16_BE, 0, "utf-16-be"):
+        if data.startswith(mark) or (len(data) > _HEAD and not any(data[start:_HEAD:2])):
             data = data.decode(encoding, errors="replace").removeprefix("\ufeff").encode()
     _refuse_many(data, source)
     if b"\0" in data:
@@ -194,8 +194,8 @@ def _refuse_many(data: bytes, source: str) -> None:
         elif line.startswith((b"MODEL", b"END", b"data_", b"loop_", b"_", b"#")):
             n, column, in_loop = 0, 0, False
         elif in_loop or line.startswith((b"ATOM", b"HETATM")):
-            its = b"".join(line.split()[column : column + 1 or None]) if column else b""
-            n, model = (n + 1, model) if its == model else (1, its)
+            row_model = b"".join(line.split()[column : column + 1 or None]) if column else b""
+            n, model = (n + 1, model) if row_model == model else (1, row_model)
             if n > MAX_ATOMS:
                 raise StructureError(f"{source}: more than {MAX_ATOMS} atoms; give fewer chains")
 
@@ -221,12 +221,12 @@ def _standard_input(stream: BinaryIO) -> bytes:
 
 
 def _bytes(path: Path) -> bytes:
-    given = str(path).startswith(_OPENED)
-    with (path if given else regular(path)).open("rb") as file:
+    is_descriptor = str(path).startswith(_DESCRIPTORS)
+    with (path if is_descriptor else regular(path)).open("rb") as file:
         return file.read(_BYTES + 1)
 
 
-_OPENED = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+_DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
 """What the caller has opened for us, as a shell does for ``<(zcat x.pdb.gz)``."""
 
 
@@ -241,36 +241,36 @@ def _is_cif(text: str) -> bool:
 
 def _blocks_with_atoms(document: gemmi.cif.Document, source: str) -> list[gemmi.cif.Block]:
     item = "_atom_site.Cartn_x"
-    found = [block for block in document if block.find_loop(item) or block.find_pair(item)]
-    if not found:
+    blocks = [block for block in document if block.find_loop(item) or block.find_pair(item)]
+    if not blocks:
         raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
-    return found
+    return blocks
 
 
-def _complete(block: gemmi.cif.Block, source: str) -> None:
+def _add_columns(block: gemmi.cif.Block, source: str) -> None:
     """Add columns without which gemmi reads no atoms, where their values are clear."""
     column = block.find_loop("_atom_site.Cartn_x")
     if not column:
         return
     loop = column.get_loop()
-    there = {tag.lower() for tag in loop.tags}
-    if "_atom_site.type_symbol" not in there:
+    tags = {tag.lower() for tag in loop.tags}
+    if "_atom_site.type_symbol" not in tags:
         raise StructureError(f"{source}: its atoms have no elements; add the item _atom_site.type_symbol")
     for tag in ("id", "label_alt_id", "label_asym_id", "B_iso_or_equiv"):
-        if f"_atom_site.{tag}".lower() not in there:
+        if f"_atom_site.{tag}".lower() not in tags:
             loop.add_columns([f"_atom_site.{tag}"], ".")
     for row in block.find("_atom_site.", ["B_iso_or_equiv"]):
         if row[0] in (".", "?"):
             row[0] = "nan"  # gemmi reads 20 of it.
-    if "_atom_site.label_asym_id" not in there and "_atom_site.auth_asym_id" in there:
+    if "_atom_site.label_asym_id" not in tags and "_atom_site.auth_asym_id" in tags:
         for row in block.find("_atom_site.", ["label_asym_id", "auth_asym_id"]):
             row[0] = row[1]
-    if "_atom_site.id" not in there:
+    if "_atom_site.id" not in tags:
         for number, row in enumerate(block.find("_atom_site.", ["id"]), 1):
             row[0] = str(number)
 
 
-def _ends_as_listed(text: str, block: gemmi.cif.Block, source: str) -> bool:
+def _is_complete_cif(text: str, block: gemmi.cif.Block, source: str) -> bool:
     """Whether a file ends with the mark of the archive or with the last residue of a sequence.
 
     The grammar requires no mark. A file without it is refused if chains that it lists have no atoms.
@@ -313,17 +313,17 @@ def _ascii(text: str, source: str, used: slice) -> str:
     if not _STRANGE.search(text):
         return text
     for number, line in enumerate(text.split("\n"), 1):
-        if line[:6].upper().startswith(("ATOM", "HETATM")) and (found := _STRANGE.search(line[used])):
-            what = "control character" if found[0].isascii() else "letter that is not ASCII"
-            column = (used.start or 0) + found.start() + 1
-            raise StructureError(f"{source}: line {number}: column {column} holds a {what}; correct it")
+        if line[:6].upper().startswith(("ATOM", "HETATM")) and (match := _STRANGE.search(line[used])):
+            kind = "control character" if match[0].isascii() else "letter that is not ASCII"
+            column = (used.start or 0) + match.start() + 1
+            raise StructureError(f"{source}: line {number}: column {column} holds a {kind}; correct it")
     return _STRANGE.sub("?", text)
 
 
 _STRANGE = re.compile(r"[^\t\n -~]")
 
 
-def _corrected(
+def _correct_pdb(
     text: str, source: str, overlooked: list[Repair]
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
     """Check the columns of a PDB file that gemmi reads; correct what is clear; and long names."""
@@ -332,7 +332,7 @@ def _corrected(
         overlooked.append(Repair(Kind.INDENTED, {"count": indented}))
     lines, joined = join_segments(lines, source)
     overlooked += joined
-    long_names = _put_names_of_four_letters(lines)
+    long_names = _shorten_names(lines)
     add_elements(lines)
     in_model, unended, lower = False, 0, 0
     strange: list[int] = []
@@ -376,7 +376,7 @@ def _corrected(
     return "\n".join(lines), long_names
 
 
-def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], str]:
+def _shorten_names(lines: list[str]) -> dict[tuple[str, str, str], str]:
     """Put residue names of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
 
     Returned are those that are no names of amino acids or caps, by place.
@@ -386,9 +386,9 @@ def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], s
     that id is of a polymer, or none of the chain with the second letter alone.
     """
     places = [(i, line[17:27]) for i, line in enumerate(lines) if line[:6].upper() in ("ATOM  ", "HETATM")]
-    found: dict[tuple[str, str, str], str] = {}
+    long_names: dict[tuple[str, str, str], str] = {}
     if all(place[3:4] in " " for _, place in places):
-        return found
+        return long_names
     polymers = {line[20:22] for line in lines if line[:6].upper() == "ATOM  "}
     runs: list[list[tuple[int, str]]] = []
     for i, place in places:
@@ -399,8 +399,8 @@ def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], s
         runs[-1].append((i, place))
     for run in runs:
         ids = {place[3:5] for _, place in run}
-        is_id = all(each[:1].strip() for each in ids) and (
-            bool(ids & polymers) or not any(f" {each[1:]}" in polymers for each in ids)
+        is_id = all(chain_id[:1].strip() for chain_id in ids) and (
+            bool(ids & polymers) or not any(f" {chain_id[1:]}" in polymers for chain_id in ids)
         )
         for i, place in run:
             name = place[:4]
@@ -409,8 +409,8 @@ def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], s
                 new = (state or short)[:3] if short != name else name[:3]
                 lines[i] = f"{lines[i][:17]}{new:<4}{lines[i][21:]}"
                 if short == name and new not in STANDARD:
-                    found[new, place[4:5].strip(), place[5:].strip()] = name
-    return found
+                    long_names[new, place[4:5].strip(), place[5:].strip()] = name
+    return long_names
 
 
 def _follows(before: str, number: str) -> bool:
@@ -428,21 +428,21 @@ _UPPER = ((0, 6), (12, 16), (17, 20))
 
 def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
     for axis, start in zip("xyz", (30, 38, 46), strict=True):
-        given = line[start : start + 8]
+        text = line[start : start + 8]
         try:
-            value = float(given)
+            value = float(text)
         except ValueError:
             value = float("nan")
         if not isfinite(value):
             raise StructureError(
-                f"{source}: line {number}: {axis} is {given.strip()!r}, not a number; "
+                f"{source}: line {number}: {axis} is {text.strip()!r}, not a number; "
                 f"correct columns {start + 1}-{start + 8}"
             )
-    given = line[22:26]
-    is_hybrid36 = len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
-    if not given.strip().lstrip("-").isdigit() and not is_hybrid36:
+    text = line[22:26]
+    is_hybrid36 = len(text) == 4 and text[0].isalpha() and text.isalnum() and text.isascii()
+    if not text.strip().lstrip("-").isdigit() and not is_hybrid36:
         raise StructureError(
-            f"{source}: line {number}: the residue number is {given.strip()!r}; correct columns 23-26"
+            f"{source}: line {number}: the residue number is {text.strip()!r}; correct columns 23-26"
         )
 
 
@@ -465,22 +465,22 @@ def places_in_file(atoms: Iterable[gemmi.Atom]) -> list[int]:
 
 def in_file_order(model: gemmi.Model) -> list[tuple[str, gemmi.Atom]]:
     """Names and atoms of a model in the order of the file; names are ``A/17/GLU/CG``, ``A/17/GLU/CG/B``."""
-    named = []
+    named_atoms = []
     for p in model.all():
         altloc = [p.atom.altloc] if p.atom.has_altloc() else []
         parts = [p.chain.name, str(p.residue.seqid), p.residue.name, p.atom.name, *altloc]
-        named.append(("/".join(parts), p.atom))
-    return sorted(named, key=lambda each: each[1].fraction)
+        named_atoms.append(("/".join(parts), p.atom))
+    return sorted(named_atoms, key=lambda named_atom: named_atom[1].fraction)
 
 
-def _without_oddities(structure: gemmi.Structure) -> None:
+def _fill_missing(structure: gemmi.Structure) -> None:
     """Correct what others would fail at: no names, numbers or insertion codes (NUL), odd elements."""
     for model in structure:
         for chain in model:
             last = max((r.seqid.num or 0 for r in chain), default=0)
             unnumbered = [r for r in chain if r.seqid.num is None and r.get_ca() is None]
-            for k, each in enumerate(unnumbered, last + 1):
-                each.seqid = gemmi.SeqId(k, " ")
+            for k, residue in enumerate(unnumbered, last + 1):
+                residue.seqid = gemmi.SeqId(k, " ")
         for place in model.all():
             if not place.residue.name.strip():
                 place.residue.name = _UNKNOWN

@@ -26,7 +26,7 @@ _POSITIONS = {
 """Suffixes of files of positions, by those of the topologies of Amber and CHARMM that they lie with."""
 _ALONE = {".gro": "GRO", ".pqr": "PQR", ".crd": "CRD", ".cor": "CRD"}
 """Files of one structure, and their format in MDAnalysis."""
-_TOPOLOGY = {its: topology for topology in (".parm7", ".prmtop") for its in (".inpcrd", ".rst7")}
+_TOPOLOGY = {suffix: topology for topology in (".parm7", ".prmtop") for suffix in (".inpcrd", ".rst7")}
 SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
 """Suffixes of what :func:`by_mdanalysis` reads."""
 
@@ -40,22 +40,22 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
 
     suffix = path.suffix.lower()
     if suffix in _TOPOLOGY:
-        topology = _beside(path, (".prmtop", ".parm7"), "topology")
+        topology = _companion_file(path, (".prmtop", ".parm7"), "topology")
         files = [topology, path]
     elif suffix in _POSITIONS:
-        files = [path, _beside(path, _POSITIONS[suffix], "coordinate")]
+        files = [path, _companion_file(path, _POSITIONS[suffix], "coordinate")]
     else:
         # A .crd file beside a topology of Amber is Amber's; that of CHARMM tells atoms from Drude particles.
-        beside = [its for end in _POSITIONS if suffix == ".crd" and (its := path.with_suffix(end)).exists()]
-        files = [*beside[:1], path]
+        topologies = [p for end in _POSITIONS if suffix == ".crd" and (p := path.with_suffix(end)).exists()]
+        files = [*topologies[:1], path]
     formats = {"topology_format": _ALONE[suffix]} if len(files) == 1 else {}
     if len(files) == 2 and files[0].suffix != ".psf":
         formats = {"format": "INPCRD"}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if files[0].suffix.lower() in (".prmtop", ".parm7") and _is_of_charmm(files[0]):
-                return _of_charmm(*files)
+            if files[0].suffix.lower() in (".prmtop", ".parm7") and _is_charmm_prmtop(files[0]):
+                return _read_charmm_prmtop(*files)
             atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
             return _from_mdanalysis(atoms, light=len(files) > 1)
     except Exception as error:  # Its readers raise of all kinds.
@@ -63,7 +63,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
         raise StructureError(f"{path}: cannot be read ({reason}); convert it to PDB or mmCIF") from None
 
 
-def _is_of_charmm(topology: Path) -> bool:
+def _is_charmm_prmtop(topology: Path) -> bool:
     """Whether a topology in the format of Amber is of CHARMM's force field: its title is a CTITLE."""
     with regular(topology).open(encoding="utf-8", errors="replace") as file:
         return any(line.startswith("%FLAG CTITLE") for line in islice(file, _TITLE_LINES))
@@ -72,7 +72,7 @@ def _is_of_charmm(topology: Path) -> bool:
 _TITLE_LINES = 10
 
 
-def _of_charmm(topology: Path, positions: Path) -> gemmi.Structure:
+def _read_charmm_prmtop(topology: Path, positions: Path) -> gemmi.Structure:
     """Read such a topology by OpenMM: MDAnalysis finds no charges in it."""
     prmtop = app.AmberPrmtopFile(str(topology))
     return _from_openmm(prmtop.topology, app.AmberInpcrdFile(str(positions)).positions)
@@ -84,31 +84,31 @@ def text_of_binary(data: bytes, source: str) -> str:
     document = gemmi.cif.Document()
     try:
         for name, block in pdbx.BinaryCIFFile.read(io.BytesIO(data)).items():
-            made = document.add_new_block(name)
+            output = document.add_new_block(name)
             for category, columns in block.items():
-                made.set_mmcif_category(
-                    f"_{category}.", {item: _texts(column) for item, column in columns.items()}
+                output.set_mmcif_category(
+                    f"_{category}.", {item: _values(column) for item, column in columns.items()}
                 )
     except Exception as error:  # Its decoders raise of all kinds.
         raise StructureError(f"{source}: not a whole BinaryCIF file ({error}); download it again") from None
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
-def _texts(column: Any) -> list[Any]:
+def _values(column: Any) -> list[Any]:
     """Values of a column of BinaryCIF as gemmi takes them: texts, False for ``.`` and None for ``?``."""
     texts = column.data.array.astype(str).tolist()
     marks = [0] * len(texts) if column.mask is None else column.mask.array.tolist()
     return [(text, False, None)[mark] for text, mark in zip(texts, marks, strict=True)]
 
 
-def _beside(path: Path, suffixes: Iterable[str], what: str) -> Path:
+def _companion_file(path: Path, suffixes: Iterable[str], kind: str) -> Path:
     """File of the same name with one of these suffixes."""
-    tried = [path.with_suffix(suffix) for suffix in suffixes]
-    found = next((each for each in tried if each.is_file()), None)
-    if found is None:
-        names = ", ".join(each.name for each in tried)
-        raise StructureError(f"{path}: its {what} file is missing; put one of {names} into the same folder")
-    return found
+    candidates = [path.with_suffix(suffix) for suffix in suffixes]
+    companion = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if companion is None:
+        names = ", ".join(candidate.name for candidate in candidates)
+        raise StructureError(f"{path}: its {kind} file is missing; put one of {names} into the same folder")
+    return companion
 
 
 def as_gemmi(source: Any) -> gemmi.Structure:
@@ -136,14 +136,14 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
         raise StructureError(f"{len(x)} positions do not fit a topology of {topology.getNumAtoms()} atoms")
     model = gemmi.Model(1)
     for chain in topology.chains():
-        made = gemmi.Chain(chain.id or " ")
+        copy = gemmi.Chain(chain.id or " ")
         for residue in chain.residues():
             atoms = [
-                atom(each.name, each.element.symbol if each.element else "X", x[each.index].tolist())
-                for each in residue.atoms()
+                atom(a.name, a.element.symbol if a.element else "X", x[a.index].tolist())
+                for a in residue.atoms()
             ]
-            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
-        model.add_chain(made)
+            copy.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
+        model.add_chain(copy)
     vectors = topology.getPeriodicBoxVectors()
     if vectors is None:
         return _structure(model)
@@ -158,26 +158,26 @@ def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
     has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
     chains: dict[str, gemmi.Chain] = {}
     for residue in group.residues:
-        mine = group[group.resindices == residue.resindex]
-        chain_id = str(mine[0].chainID if has["chainIDs"] and mine[0].chainID else residue.segid)
+        members = group[group.resindices == residue.resindex]
+        chain_id = str(members[0].chainID if has["chainIDs"] and members[0].chainID else residue.segid)
         chain_id = "" if chain_id == _NO_SEGMENT else chain_id
         atoms = [
             atom(
-                str(each.name),
-                str((has["elements"] and each.element) or guess(str(each.name))),
-                [float(value) for value in each.position],
-                float(each.tempfactor) if has["tempfactors"] else nan,
+                str(a.name),
+                str((has["elements"] and a.element) or guess(str(a.name))),
+                [float(value) for value in a.position],
+                float(a.tempfactor) if has["tempfactors"] else nan,
             )
-            for each in mine
+            for a in members
         ]
-        for made_atom, source in zip(atoms, mine, strict=True) if light else ():
+        for new_atom, source in zip(atoms, members, strict=True) if light else ():
             if source.mass < _LIGHTEST:
-                made_atom.element, made_atom.calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
+                new_atom.element, new_atom.calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
         code = str(residue.icode).strip() if has["icodes"] else ""
-        made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
-        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
-    for made in chains.values():
-        model.add_chain(made)
+        chain = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
+        chain.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
+    for chain in chains.values():
+        model.add_chain(chain)
     return _structure(model, getattr(group, "dimensions", None))
 
 
@@ -186,19 +186,19 @@ _NO_SEGMENT = "SYSTEM"
 
 
 def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:
-    made = gemmi.Residue()
-    made.name = name
-    made.seqid = gemmi.SeqId(int(number), insertion_code or " ")
-    for each in atoms:
-        each.occ = 1.0
-        made.add_atom(each)
-    return made
+    residue = gemmi.Residue()
+    residue.name = name
+    residue.seqid = gemmi.SeqId(int(number), insertion_code or " ")
+    for a in atoms:
+        a.occ = 1.0
+        residue.add_atom(a)
+    return residue
 
 
 def _structure(model: gemmi.Model, cell: Sequence[float] | None = None) -> gemmi.Structure:
     """Return a structure of a model, with the lengths (angstrom) and angles (degrees) of its box."""
-    made = gemmi.Structure()
-    made.add_model(model)
+    structure = gemmi.Structure()
+    structure.add_model(model)
     if cell is not None and all(cell):
-        made.cell = gemmi.UnitCell(*map(float, cell))
-    return made
+        structure.cell = gemmi.UnitCell(*map(float, cell))
+    return structure

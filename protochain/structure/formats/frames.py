@@ -41,7 +41,7 @@ class Frame(Value):
     # (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
     box: Floats | None = None
     time: float | None = None  # ps.
-    why: str = ""  # Why it cannot be read.
+    error: str = ""  # Why it cannot be read.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,48 +70,48 @@ class Frames:
         return self._with(self.chosen[n:])
 
     def _with(self, chosen: Sequence[int]) -> "Frames":
-        kept = {name: its for name, its in vars(self).items() if name != "chosen"}
-        return Frames(**kept, chosen=chosen)
+        fields = {name: value for name, value in vars(self).items() if name != "chosen"}
+        return Frames(**fields, chosen=chosen)
 
-    def select(self, asked: Any) -> "Frames":
+    def select(self, spec: Any) -> "Frames":
         """Choose frames: ``all``, a number, ``START:STOP:STEP``, as Python has them, or a list of these."""
-        words = asked.split(",") if isinstance(asked, str) else asked
+        words = spec.split(",") if isinstance(spec, str) else spec
         parts = words if isinstance(words, list | tuple) else [words]
-        each = [range(self.count)[selection(part, "frames")] for part in parts]
-        if not parts or not all(each):
+        ranges = [range(self.count)[frame_slice(part, "frames")] for part in parts]
+        if not parts or not all(ranges):
             raise ProtochainError(
-                f"{self.source}: frames {asked}: none of its {self.count} frames; give others"
+                f"{self.source}: frames {spec}: none of its {self.count} frames; give others"
             )
-        some: Sequence[int] = each[0] if len(each) == 1 else [k for its in each for k in its]
-        return self._with(some)
+        chosen: Sequence[int] = ranges[0] if len(ranges) == 1 else [k for indices in ranges for k in indices]
+        return self._with(chosen)
 
 
 class Reading:
     """Frames read in any order, from a file that stays open."""
 
     def __init__(self, frames: Frames) -> None:
-        self._asked: deque[int] = deque()
-        self._read = frames.read(iter(self._asked.popleft, None))
+        self._requests: deque[int] = deque()
+        self._read = frames.read(iter(self._requests.popleft, None))
 
     def at(self, k: int) -> Frame:
         """Read a frame."""
-        self._asked.append(k)
+        self._requests.append(k)
         return next(self._read)
 
 
-def selection(asked: Any, name: str) -> slice:
+def frame_slice(spec: Any, name: str) -> slice:
     """Read a selection of frames, as :meth:`Frames.select` takes it."""
-    if asked is None or asked == ALL or isinstance(asked, slice):
-        return asked if isinstance(asked, slice) else slice(None)
-    if isinstance(asked, range):
-        return slice(asked.start, asked.stop, asked.step)
-    found = _SELECTION.fullmatch("".join(str(asked).split()))
-    if not found or found["step"] == "0":
+    if spec is None or spec == ALL or isinstance(spec, slice):
+        return spec if isinstance(spec, slice) else slice(None)
+    if isinstance(spec, range):
+        return slice(spec.start, spec.stop, spec.step)
+    match = _SELECTION.fullmatch("".join(str(spec).split()))
+    if not match or match["step"] == "0":
         raise ProtochainError(
-            Argument(name), f" {shown(asked)}: give all, a number, or START:STOP:STEP, as 0:1000:10"
+            Argument(name), f" {shown(spec)}: give all, a number, or START:STOP:STEP, as 0:1000:10"
         )
-    start, stop, step = (int(its) if (its := found[part]) else None for part in ("start", "stop", "step"))
-    if found["several"] is None:
+    start, stop, step = (int(text) if (text := match[part]) else None for part in ("start", "stop", "step"))
+    if match["several"] is None:
         return slice(start, None if start == -1 else (start or 0) + 1)
     return slice(start, stop, step)
 
@@ -128,28 +128,28 @@ def trajectories(folder: Path) -> list[Path]:
 
 def open_frames(source: Any, frames: Any = None) -> Frames:
     """Open an ensemble."""
-    opened = source if isinstance(source, Frames) else _opened(source)
-    if not opened.count:
-        raise StructureError(f"{opened.source}: holds no frames; give a trajectory, or a file with models")
-    return opened if frames is None else opened.select(frames)
+    ensemble = source if isinstance(source, Frames) else _open_source(source)
+    if not ensemble.count:
+        raise StructureError(f"{ensemble.source}: holds no frames; give a trajectory, or a file with models")
+    return ensemble if frames is None else ensemble.select(frames)
 
 
-def _opened(source: Any) -> Frames:
+def _open_source(source: Any) -> Frames:
     if isinstance(source, str | Path):
         path = Path(source)
-        own = _models if format_of(path) else _READERS.get(path.suffix.lower())
-        if own is None:
-            known = ", ".join([*_READERS, *SUFFIXES])
+        reader = _models if format_of(path) else _READERS.get(path.suffix.lower())
+        if reader is None:
+            suffixes = ", ".join([*_READERS, *SUFFIXES])
             raise StructureError(
-                f"{path}: unknown suffix {path.suffix!r} of a trajectory; use one of {known}"
+                f"{path}: unknown suffix {path.suffix!r} of a trajectory; use one of {suffixes}"
             )
         if not path.exists():
             raise StructureError(f"{path}: not found; check the name")
-        return own(regular(path))
+        return reader(regular(path))
     if hasattr(source, "xyz") and hasattr(source, "unitcell_vectors"):
-        return _of_arrays("frames", source.xyz, source.unitcell_vectors, source.time)
+        return _from_arrays("frames", source.xyz, source.unitcell_vectors, source.time)
     if hasattr(source, "atoms") and hasattr(source.atoms, "universe"):
-        return _of_universe(source.atoms)
+        return _from_universe(source.atoms)
     try:
         x = np.asarray(plain(source, "nanometer", "frames"), dtype=float)
     except (TypeError, ValueError):
@@ -158,28 +158,28 @@ def _opened(source: Any) -> Frames:
         raise StructureError(
             f"frames: has shape {x.shape}; give positions (frames, atoms, 3) in nm, or a file"
         )
-    return _of_arrays("frames", x)
+    return _from_arrays("frames", x)
 
 
-def _all_of(source: str | Path, count: int, n_atoms: int, read: Any, **more: Any) -> Frames:
+def _frames_of(source: str | Path, count: int, n_atoms: int, read: Any, **fields: Any) -> Frames:
     path = source if isinstance(source, Path) else None
-    return Frames(str(source), count, n_atoms, read, range(count), path=path, **more)
+    return Frames(str(source), count, n_atoms, read, range(count), path=path, **fields)
 
 
-def _of_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
+def _from_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
             yield Frame(
                 k,
-                _own(x[k]),
+                _copy_nm(x[k]),
                 None if boxes is None else _box(boxes[k]),
                 None if times is None else float(times[k]),
             )
 
-    return _all_of(source, len(x), x.shape[1], read)
+    return _frames_of(source, len(x), x.shape[1], read)
 
 
-def _own(x: Any, scale: float = 1.0) -> Floats:
+def _copy_nm(x: Any, scale: float = 1.0) -> Floats:
     """Copy of positions in nm: readers use their memory again."""
     return np.array(x, dtype=float) / scale
 
@@ -195,18 +195,18 @@ _THINNEST = 0.3
 """nm. No molecule has a cell as thin as this."""
 
 
-def _of_universe(atoms: Any) -> Frames:
+def _from_universe(atoms: Any) -> Frames:
     trajectory = atoms.universe.trajectory
 
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
             step = trajectory[k]
-            yield Frame(k, _own(atoms.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
+            yield Frame(k, _copy_nm(atoms.positions, ANGSTROM_PER_NM), _step_box(step), float(step.time))
 
-    return _all_of("frames", len(trajectory), len(atoms), read)
+    return _frames_of("frames", len(trajectory), len(atoms), read)
 
 
-def _of_dimensions(step: Any) -> Floats | None:
+def _step_box(step: Any) -> Floats | None:
     return None if step.dimensions is None else _box(step.triclinic_dimensions / ANGSTROM_PER_NM)
 
 
@@ -220,26 +220,26 @@ def _xdr(path: Path, kind: "_Kind") -> Frames:
         with getattr(libmdaxdr, f"{kind.name}File")(str(path)) as file, path.open("rb") as raw:
             file.set_offsets(begins)
             for k in chosen:
-                why = damaged.get(k, "")
+                reason = damaged.get(k, "")
                 try:
-                    if not why and not kind.is_sound(raw, int(begins[k]), n_atoms):
-                        why = "it is damaged"
-                    if not why:
+                    if not reason and not kind.is_sound(raw, int(begins[k]), n_atoms):
+                        reason = "it is damaged"
+                    if not reason:
                         file.seek(k)
                         frame = file.read()
                 except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
-                    why = f"cannot be read ({error})"
-                if why:
-                    yield Frame(k, None, why=why)
+                    reason = f"cannot be read ({error})"
+                if reason:
+                    yield Frame(k, None, error=reason)
                 else:
-                    yield Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
+                    yield Frame(k, _copy_nm(frame.x), _box(frame.box), float(frame.time))
 
-    return _all_of(path, len(begins), n_atoms, read)
+    return _frames_of(path, len(begins), n_atoms, read)
 
 
 def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
     """Bytes at which frames begin, what is wrong with those that would crash the library, atoms."""
-    with path.open("rb") as raw, _refusing(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
+    with path.open("rb") as raw, _reading_errors(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
         size, begins, damaged = len(data), list[int](), dict[int, str]()
         first = bytes(data[: kind.head])
         head = first[: kind.same]
@@ -357,10 +357,10 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
         raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
 
     @contextmanager
-    def opened() -> Iterator[Any]:
+    def open_reader() -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with _refusing(path):
+            with _reading_errors(path):
                 if kind == "DCD":  # Of what it cannot open, the reader would complain once more at its end.
                     MDAnalysis.coordinates.DCD.DCDFile(str(path)).close()
                 file = make(str(path))
@@ -370,48 +370,48 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
             with suppress(Exception):  # scipy's NetCDF complains of views of its memory.
                 file.close()
 
-    with opened() as file:
+    with open_reader() as file:
         count, n_atoms = len(file), file.n_atoms
-    total = max(count, _stated_in_dcd(path) if kind == "DCD" else 0)
+    total = max(count, _dcd_frame_count(path) if kind == "DCD" else 0)
     ends_within = total > count
 
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        with opened() as file, warnings.catch_warnings():
+        with open_reader() as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             for k in chosen:
                 if k == count:
                     yield Frame(
-                        k, None, why=f"the file ends before it is whole, and should have {total} frames"
+                        k, None, error=f"the file ends before it is whole, and should have {total} frames"
                     )
                     continue
                 try:
                     step = file[k]
                 except (OSError, EOFError, ValueError, RuntimeError, IndexError) as error:
-                    yield Frame(k, None, why=f"cannot be read ({error})")
+                    yield Frame(k, None, error=f"cannot be read ({error})")
                     continue
-                yield Frame(k, _own(step.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
+                yield Frame(k, _copy_nm(step.positions, ANGSTROM_PER_NM), _step_box(step), float(step.time))
 
-    return _all_of(path, count + ends_within, n_atoms, read)
+    return _frames_of(path, count + ends_within, n_atoms, read)
 
 
 _CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
 _FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
 
 
-def _stated_in_dcd(path: Path) -> int:
+def _dcd_frame_count(path: Path) -> int:
     """Number of frames that the header of a DCD file states; the file may be cut."""
     with path.open("rb") as file:
         head = file.read(12)
     order = "little" if head[:4] == b"T\0\0\0" else "big"
     stated = int.from_bytes(head[8:12], order)  # type: ignore[arg-type]  # one of the two
-    return stated if stated < _MOST else 0
+    return stated if stated < _MAX_FRAMES else 0
 
 
-_MOST = 1 << 31
+_MAX_FRAMES = 1 << 31
 
 
 @contextmanager
-def _refusing(path: Path) -> Iterator[None]:
+def _reading_errors(path: Path) -> Iterator[None]:
     """Name the file where a library cannot read it."""
     try:
         yield
@@ -435,13 +435,13 @@ def _models(path: Path) -> Frames:
             at = {name: atom.pos.tolist() for name, atom in in_file_order(models[k])}
             absent = next((name for name in names if name not in at), None)
             if absent is None and len(at) == len({*names}):
-                yield Frame(k, _own([at[name] for name in names], ANGSTROM_PER_NM), box)
+                yield Frame(k, _copy_nm([at[name] for name in names], ANGSTROM_PER_NM), box)
             else:
-                other = absent or next(name for name in at if name not in names)
-                what = "lacks" if absent else "has"
-                yield Frame(k, None, why=f"other atoms than the first: it {what} {other}")
+                mismatch = absent or next(name for name in at if name not in names)
+                verb = "lacks" if absent else "has"
+                yield Frame(k, None, error=f"other atoms than the first: it {verb} {mismatch}")
 
-    return _all_of(path, len(models), len(names), read, names=names)
+    return _frames_of(path, len(models), len(names), read, names=names)
 
 
 def _npz(path: Path) -> Frames:
@@ -458,8 +458,8 @@ def _npz(path: Path) -> Frames:
             f"{path}: cannot be read as NPZ: {error}; write it again by numpy.savez"
         ) from None
     if name is None or len(shapes[name]) != 3 or shapes[name][2] != 3:
-        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
-        raise StructureError(f"{path}: holds {found}; give an array positions of (frames, atoms, 3)")
+        contents = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
+        raise StructureError(f"{path}: holds {contents}; give an array positions of (frames, atoms, 3)")
     if unit not in _UNITS:
         raise StructureError(
             f"{path}: does not say the unit of {name}{unit and f', but {unit!r}'}; "
@@ -476,15 +476,15 @@ def _npz(path: Path) -> Frames:
 
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k, (x,) in _stream(path, (name,), chosen):
-            yield Frame(k, _own(x, _UNITS[unit]))
+            yield Frame(k, _copy_nm(x, _UNITS[unit]))
 
     def read_backbones(chosen: Iterable[int]) -> Iterator[Frame]:
         for k, (x, turn) in _stream(path, (name, "node_orientations"), chosen):
-            yield Frame(k, backbones(_own(x), _own(turn)))
+            yield Frame(k, backbones(_copy_nm(x), _copy_nm(turn)))
 
     if of_backbones:
-        return _all_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
-    return _all_of(path, count, n_atoms, read)
+        return _frames_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
+    return _frames_of(path, count, n_atoms, read)
 
 
 _UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
@@ -502,15 +502,15 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
             if fortran or dtype.hasobject:
                 raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")
         for k in chosen:
-            found = []
+            values = []
             for file, (shape, _, dtype, begin) in zip(rows, heads, strict=True):
                 size = int(np.prod(shape[1:])) * dtype.itemsize
                 file.seek(begin + k * size)
                 data = file.read(size)
-                whole = len(data) == size
-                row = np.frombuffer(data, dtype).reshape(shape[1:]) if whole else np.full(shape[1:], np.nan)
-                found.append(row)
-            yield k, found
+                is_full = len(data) == size
+                row = np.frombuffer(data, dtype).reshape(shape[1:]) if is_full else np.full(shape[1:], np.nan)
+                values.append(row)
+            yield k, values
 
 
 _N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])

@@ -46,14 +46,14 @@ _PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
-def of_cif(block: gemmi.cif.Block) -> str:
+def cif_header(block: gemmi.cif.Block) -> str:
     """Return the categories of a file that go on to the files written of it, as mmCIF text."""
     names = block.get_mmcif_category_names()
-    wanted = _ALWAYS + (_OF_MODELS if any(name.startswith("_ma_") for name in names) else ())
-    return _text({name: _rows(block, name) for name in names if name.lower().startswith(wanted)})
+    prefixes = _ALWAYS + (_OF_MODELS if any(name.startswith("_ma_") for name in names) else ())
+    return _text({name: _rows(block, name) for name in names if name.lower().startswith(prefixes)})
 
 
-def of_pdb(text: str, structure: gemmi.Structure) -> str:
+def pdb_header(text: str, structure: gemmi.Structure) -> str:
     """Return the records of a PDB file that go on to the files written of it, as mmCIF text."""
     lines: dict[str, list[str]] = {}
     for line in text.splitlines():
@@ -71,21 +71,21 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     mods = [
         {"id": f"{k}", "auth_asym_id": mod.chain_name or "?", "auth_seq_id": f"{mod.res_id.seqid.num}",
          "PDB_ins_code": mod.res_id.seqid.icode.strip() or "?", "label_comp_id": mod.res_id.name,
-         "auth_comp_id": mod.res_id.name, "parent_comp_id": _quoted(mod.parent_comp_id),
-         "details": _quoted(mod.details)}
+         "auth_comp_id": mod.res_id.name, "parent_comp_id": _quote(mod.parent_comp_id),
+         "details": _quote(mod.details)}
         for k, mod in enumerate(structure.mod_residues, 1)
         if mod.res_id.seqid.num is not None
     ]  # fmt: skip
-    own = tables.of_remarks(lines.get("REMARK", ()))
+    chemistry = tables.of_remarks(lines.get("REMARK", ()))
     return _text(
         {
             "_chem_comp.": [
-                {"id": _quoted(name), "name": _quoted(_joined(stated))} for name, stated in names.items()
+                {"id": _quote(name), "name": _quote(_join_lines(stated))} for name, stated in names.items()
             ],
-            **own,
-            "_chem_comp_bond.": [*_drawn(structure, own), *own["_chem_comp_bond."]],
+            **chemistry,
+            "_chem_comp_bond.": [*_conect_bonds(structure, chemistry), *chemistry["_chem_comp_bond."]],
             _MODIFIED: mods,
-            "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
+            "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quote("\n".join(remarks))}]
             if remarks
             else [],
             **_journal(lines.get("JRNL", ())),
@@ -100,33 +100,33 @@ def cif_rows(
 ) -> dict[str, Rows]:
     """Return the categories of a header, about what a structure has, under the names that it has there."""
     names = {residue.name: residue for model in out for chain in model for residue in chain}
-    there = _There(out, label, names)
-    found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
-    kept = {}
-    for category, given in found.items():
+    renamer = _RowRenamer(out, label, names)
+    categories = _merge(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
+    result = {}
+    for category, entries in categories.items():
         if category not in (CATEGORY, _MODIFIED):
-            rows = [now for row in given if (now := there.renamed(category, row))]
+            rows = [new_row for row in entries if (new_row := renamer.rename_row(category, row))]
             if rows:
-                kept[category] = [*{tuple(row.items()): row for row in rows}.values()]  # Each once.
-    sequences = (each for entity in out.entities for each in entity.full_sequence)
-    unseen = {name: gemmi.Residue() for each in sequences for name in each.split(",")}
-    return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), unseen | names))}
+                result[category] = [*{tuple(row.items()): row for row in rows}.values()]  # Each once.
+    sequences = (monomer for entity in out.entities for monomer in entity.full_sequence)
+    unseen = {name: gemmi.Residue() for monomer in sequences for name in monomer.split(",")}
+    return result | {"_chem_comp.": list(_components(result.get("_chem_comp.", []), unseen | names))}
 
 
-def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, Rows]:
+def _merge(ligands: Mapping[str, Rows], categories: Mapping[str, Rows]) -> dict[str, Rows]:
     """Categories with the chemistry of ligands in the place of others of the same components."""
-    named = {row["comp_id"] for given in ligands.values() for row in given}
-    kept = {
-        category: [row for row in given if row.get("comp_id") not in named] if category in ligands else given
-        for category, given in found.items()
+    replaced = {row["comp_id"] for rows in ligands.values() for row in rows}
+    result = {
+        category: [row for row in rows if row.get("comp_id") not in replaced] if category in ligands else rows
+        for category, rows in categories.items()
     }
-    return kept | {category: kept.get(category, []) + given for category, given in ligands.items()}
+    return result | {category: result.get(category, []) + rows for category, rows in ligands.items()}
 
 
 def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
     """Return a header with the tables of a component in the place of others of that component."""
-    found = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
-    return _text(_with(ligand, found))
+    categories = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    return _text(_merge(ligand, categories))
 
 
 def pdb_lines(
@@ -136,18 +136,18 @@ def pdb_lines(
 
     The third value has the components, of those bonded to others, whose chemistry remarks state.
     """
-    found = cif_rows(header, out, {}, ligands)
+    categories = cif_rows(header, out, {}, ligands)
     citation = [
         f"JRNL        {name:<4}{k if k > 1 else '':>2} {line}"
-        for name, text in _cited(found)
+        for name, text in _citation_records(categories)
         for k, line in enumerate(textwrap.wrap(text, _TEXT_WIDTH), 1)
     ]
     terms = [
-        line for row in found.get("_database_PDB_remark.", []) for line in _plain(row["text"]).split("\n")
+        line for r in categories.get("_database_PDB_remark.", []) for line in _plain(r["text"]).split("\n")
     ]
-    for row in found.get("_pdbx_data_usage.", []):
+    for row in categories.get("_pdbx_data_usage.", []):
         words = " ".join(
-            _plain(row[item]) for item in ("type", "details", "url", "name") if _is_given(row, item)
+            _plain(row[item]) for item in ("type", "details", "url", "name") if _has_value(row, item)
         )
         terms += textwrap.wrap(words, _REMARK_WIDTH)
     het = {
@@ -156,26 +156,26 @@ def pdb_lines(
     }  # fmt: skip
     names = [
         f"HETNAM  {k if k > 1 else '':>2} {_plain(row['id']):>3} {line}"
-        for row in found["_chem_comp."]
-        if _plain(row["id"]) in het and _is_given(row, "name")
+        for row in categories["_chem_comp."]
+        if _plain(row["id"]) in het and _has_value(row, "name")
         for k, line in enumerate(textwrap.wrap(_plain(row["name"]), _NAME_WIDTH), 1)
     ]
     stated = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
-    whole = {_plain(row["comp_id"]) for row in found.get("_chem_comp_atom.", [])} & {*bonded}
-    return [*citation, *stated, *tables.as_remarks(found, whole)], names, whole
+    components = {_plain(row["comp_id"]) for row in categories.get("_chem_comp_atom.", [])} & {*bonded}
+    return [*citation, *stated, *tables.as_remarks(categories, components)], names, components
 
 
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
     """Order of each bond of components, by component and its atoms in alphabetic order."""
-    known = {name: order for order, name in _ORDERS.items()}
+    order_of = {name: order for order, name in _ORDERS.items()}
     stated = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
-    rows = _with(ligands, stated).get("_chem_comp_bond.", [])
-    found = {}
+    rows = _merge(ligands, stated).get("_chem_comp_bond.", [])
+    result = {}
     for row in rows:
         first, second = sorted(_plain(row.get(f"atom_id_{k}", "")) for k in (1, 2))
         order = _plain(row.get("value_order", "")).lower()
-        found[_plain(row["comp_id"]), first, second] = known.get(order[:4], 1)
-    return found
+        result[_plain(row["comp_id"]), first, second] = order_of.get(order[:4], 1)
+    return result
 
 
 def with_names(head: str, names: Sequence[str]) -> str:
@@ -195,7 +195,7 @@ def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
             )
 
 
-class _There:
+class _RowRenamer:
     """What is in a structure, by the names that the file read has for it."""
 
     def __init__(self, out: gemmi.Structure, label: Mapping[Label, Label], names: Collection[str]) -> None:
@@ -213,7 +213,7 @@ class _There:
                 place = (new[0], "." if new[1] is None else f"{new[1]}", now[new])
                 self.residue.setdefault((asym, "." if seq is None else f"{seq}"), place)
 
-    def renamed(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
+    def rename_row(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
         """A row under the present names; none if what it tells of is not there."""
         if category in _COMPONENT:
             return row if _plain(row.get(_COMPONENT[category], "?")) in self.names else None
@@ -232,27 +232,27 @@ class _There:
                     del values["seq_id"]
                 for item, value in values.items():
                     if f"label_{item}{end}" in row:
-                        row[f"label_{item}{end}"] = value if value == "." else _quoted(value)
+                        row[f"label_{item}{end}"] = value if value == "." else _quote(value)
         for item, value in row.items():
             if value in _NO_VALUE:
                 continue
             if item in ("asym_id", "target_asym_id"):
                 if _plain(value) not in self.asym:
                     return None
-                row[item] = _quoted(self.asym[_plain(value)])
-            gone = item in ("entity_id", "target_entity_id") and _plain(value) not in self.entities
-            if gone or (item == "model_id" and _plain(value) not in self.models):
+                row[item] = _quote(self.asym[_plain(value)])
+            is_absent = item in ("entity_id", "target_entity_id") and _plain(value) not in self.entities
+            if is_absent or (item == "model_id" and _plain(value) not in self.models):
                 return None
         return row
 
 
-def _components(known: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict[str, str]]:
+def _components(rows: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict[str, str]]:
     """Rows of ``_chem_comp``: those of the file, those of others from the tables, or by their sugar."""
-    there = {_plain(row["id"]): row for row in known}
+    row_of = {_plain(row["id"]): row for row in rows}
     for name in sorted(names):
-        row = there.get(name, {})
-        kind = row["type"] if _is_given(row, "type") else _quoted(component_type(name, names[name]))
-        yield {"id": _quoted(name), "type": kind, **{k: v for k, v in row.items() if k not in ("id", "type")}}
+        row = row_of.get(name, {})
+        kind = row["type"] if _has_value(row, "type") else _quote(component_type(name, names[name]))
+        yield {"id": _quote(name), "type": kind, **{k: v for k, v in row.items() if k not in ("id", "type")}}
 
 
 def component_type(name: str, residue: gemmi.Residue) -> str:
@@ -265,38 +265,38 @@ def component_type(name: str, residue: gemmi.Residue) -> str:
     return _KINDS.get(info.kind, "non-polymer")
 
 
-def _drawn(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Iterator[dict[str, str]]:
+def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Iterator[dict[str, str]]:
     """Bonds of components whose CONECT records give a bond more than once, unless remarks state the bonds."""
-    known = tables.known(stated[tables.CATEGORY])
+    with_tables = tables.known(stated[tables.CATEGORY])
     complete = {_plain(row["comp_id"]) for row in stated["_chem_comp_bond."]}
     at = {
         place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)
         for place in structure[0].all()
     } if len(structure) else {}  # fmt: skip
-    drawn: dict[str, dict[tuple[str, str], int]] = {}
-    for one, ends in structure.conect_map.items():
-        for other in dict.fromkeys(ends):
-            if one in at and other in at and at[one][:3] == at[other][:3]:
-                pair = (at[one][3], at[other][3])
-                if pair[::-1] not in drawn.setdefault(at[one][0], {}):
-                    drawn[at[one][0]].setdefault(pair, ends.count(other))
-    for name, bonds in drawn.items():
-        if name not in complete and (name in known or max(bonds.values()) > 1):
+    bond_orders: dict[str, dict[tuple[str, str], int]] = {}
+    for serial, ends in structure.conect_map.items():
+        for neighbour in dict.fromkeys(ends):
+            if serial in at and neighbour in at and at[serial][:3] == at[neighbour][:3]:
+                pair = (at[serial][3], at[neighbour][3])
+                if pair[::-1] not in bond_orders.setdefault(at[serial][0], {}):
+                    bond_orders[at[serial][0]].setdefault(pair, ends.count(neighbour))
+    for name, bonds in bond_orders.items():
+        if name not in complete and (name in with_tables or max(bonds.values()) > 1):
             for (first, second), order in bonds.items():
                 yield {
-                    "comp_id": _quoted(name), "atom_id_1": _quoted(first), "atom_id_2": _quoted(second),
+                    "comp_id": _quote(name), "atom_id_1": _quote(first), "atom_id_2": _quote(second),
                     "value_order": _ORDERS.get(order, "?"),
                 }  # fmt: skip
 
 
 def _journal(lines: Iterable[str]) -> dict[str, Rows]:
     """Citation of the JRNL records."""
-    given: dict[str, list[str]] = {}
+    record_lines: dict[str, list[str]] = {}
     for line in lines:
-        given.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
-    if not given:
+        record_lines.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
+    if not record_lines:
         return {}
-    text = {name: _joined(stated) for name, stated in given.items()}
+    text = {name: _join_lines(stated) for name, stated in record_lines.items()}
     items = {
         "id": "primary",
         "title": text.get("TITL", ""),
@@ -306,42 +306,42 @@ def _journal(lines: Iterable[str]) -> dict[str, Rows]:
     }
     authors = [name.strip() for name in text.get("AUTH", "").split(",") if name.strip()]
     return {
-        "_citation.": [{item: _quoted(value) for item, value in items.items()}],
+        "_citation.": [{item: _quote(value) for item, value in items.items()}],
         "_citation_author.": [
-            {"citation_id": "primary", "name": _quoted(name), "ordinal": f"{k}"}
+            {"citation_id": "primary", "name": _quote(name), "ordinal": f"{k}"}
             for k, name in enumerate(authors, 1)
         ],
     }
 
 
-def _cited(found: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
+def _citation_records(categories: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
     """Records of the primary citation, or the first one."""
-    rows = sorted(found.get("_citation.", []), key=lambda row: _plain(row.get("id", "")) != "primary")
+    rows = sorted(categories.get("_citation.", []), key=lambda row: _plain(row.get("id", "")) != "primary")
     for row in rows[:1]:
         authors = [
             # J.Doe, as the format has it.
-            "".join(reversed(_plain(each["name"]).split(", ", 1)))
-            for each in found.get("_citation_author.", [])
-            if each.get("citation_id") == row.get("id") and _is_given(each, "name")
+            "".join(reversed(_plain(author["name"]).split(", ", 1)))
+            for author in categories.get("_citation_author.", [])
+            if author.get("citation_id") == row.get("id") and _has_value(author, "name")
         ]  # fmt: skip
-        journal = ("journal_full",) if _is_given(row, "journal_full") else (
+        journal = ("journal_full",) if _has_value(row, "journal_full") else (
             "journal_abbrev", "journal_volume", "page_first", "year")  # fmt: skip
         stated = {
             "AUTH": ",".join(authors),
-            "TITL": _plain(row["title"]) if _is_given(row, "title") else "",
-            "REF": " ".join(_plain(row[item]) for item in journal if _is_given(row, item)),
+            "TITL": _plain(row["title"]) if _has_value(row, "title") else "",
+            "REF": " ".join(_plain(row[item]) for item in journal if _has_value(row, item)),
             **{
                 name: _plain(row[item])
                 for name, item in (("PMID", "pdbx_database_id_PubMed"), ("DOI", "pdbx_database_id_DOI"))
-                if _is_given(row, item)
+                if _has_value(row, item)
             },
         }
         yield from ((name, text) for name, text in stated.items() if text)
 
 
 def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:
-    wanted = (*_ALWAYS, *_OF_MODELS)
-    names = [name for name in block.get_mmcif_category_names() if name.lower().startswith(wanted)]
+    prefixes = (*_ALWAYS, *_OF_MODELS)
+    names = [name for name in block.get_mmcif_category_names() if name.lower().startswith(prefixes)]
     return {name: _rows(block, name) for name in names}
 
 
@@ -356,7 +356,7 @@ def _text(categories: Mapping[str, Rows]) -> str:
     return str(document.as_string())
 
 
-def _joined(lines: Iterable[str]) -> str:
+def _join_lines(lines: Iterable[str]) -> str:
     """Text of the lines of a record; after a hyphen or comma a line needs no space before."""
     text: list[str] = []
     for line in lines:
@@ -365,7 +365,7 @@ def _joined(lines: Iterable[str]) -> str:
     return "".join(text)
 
 
-def _quoted(value: str) -> str:
+def _quote(value: str) -> str:
     # A semicolon that begins a line would end a text of several.
     return str(gemmi.cif.quote(value.replace("\n;", "\n ;"))) if value else "?"
 
@@ -374,5 +374,5 @@ def _plain(value: str) -> str:
     return gemmi.cif.as_string(value)
 
 
-def _is_given(row: Mapping[str, str], item: str) -> bool:
+def _has_value(row: Mapping[str, str], item: str) -> bool:
     return row.get(item, "?") not in _NO_VALUE

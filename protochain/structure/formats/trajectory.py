@@ -21,7 +21,7 @@ _DCD_COUNT = 8
 """Offset of the number of frames in a DCD file: four bytes, little-endian."""
 
 
-WRITTEN = (".dcd", ".xtc")
+FORMATS = (".dcd", ".xtc")
 """Suffixes of trajectories that are written."""
 
 
@@ -32,11 +32,11 @@ def part_of(path: Path) -> Path:
 
 def check_trajectory(path: Path) -> None:
     """Refuse an unknown trajectory suffix."""
-    if path.suffix.lower() not in WRITTEN:
-        raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use {' or '.join(WRITTEN)}")
+    if path.suffix.lower() not in FORMATS:
+        raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use {' or '.join(FORMATS)}")
 
 
-def _are_whole(path: Path, begin: int, end: int, n_atoms: int) -> bool:
+def _are_complete(path: Path, begin: int, end: int, n_atoms: int) -> bool:
     """Whether an XTC file's frames from one byte to another are whole: OpenMM's writer tells no failure."""
     with path.open("rb") as file:
         file.seek(begin)
@@ -47,9 +47,9 @@ def _are_whole(path: Path, begin: int, end: int, n_atoms: int) -> bool:
 
 def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
     """Topology of the other atoms, and their indices."""
-    whole = app.Modeller(structure.topology, structure.positions * unit.nanometer)
-    whole.delete([atom for atom in structure.topology.atoms() if atom.element.symbol == "H"])
-    return whole.topology, np.flatnonzero(structure.atom_element != "H")
+    modeller = app.Modeller(structure.topology, structure.positions * unit.nanometer)
+    modeller.delete([atom for atom in structure.topology.atoms() if atom.element.symbol == "H"])
+    return modeller.topology, np.flatnonzero(structure.atom_element != "H")
 
 
 class TrajectoryFile:
@@ -60,7 +60,7 @@ class TrajectoryFile:
         path: str | Path,
         structure: Structure,
         interval: float = 1.0,
-        kept: tuple[int, int] | None = None,
+        resume_at: tuple[int, int] | None = None,
         hydrogens: bool = True,
     ) -> None:
         self.path = Path(path)
@@ -72,17 +72,17 @@ class TrajectoryFile:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.part = part_of(self.path)
         self.n_frames = 0
-        if kept is None:
+        if resume_at is None:
             self.part.unlink(missing_ok=True)
         else:
-            self._check(topology, *kept)
-            self._cut(*kept)
+            self._check(topology, *resume_at)
+            self._cut(*resume_at)
         self._file: Any = None
         try:
             with writing(self.path):
-                self._open(topology, {"dt": interval, "append": kept is not None})
+                self._open(topology, {"dt": interval, "append": resume_at is not None})
         except WriteError:
-            if kept is None:
+            if resume_at is None:
                 self.discard()
             raise
 
@@ -95,30 +95,30 @@ class TrajectoryFile:
             self.part.touch()
             self._writer = app.XTCFile(str(self.part), topology, **settings)
 
-    def _there(self) -> Path:
+    def _existing_file(self) -> Path:
         """File to continue: under its final name, if the run had ended."""
         return self.part if self.part.exists() else self.path
 
     def _check(self, topology: Any, n_frames: int, n_bytes: int) -> None:
         """Refuse what cannot be continued before it is cut."""
-        there = self._there()
-        if not there.exists() or there.stat().st_size < n_bytes:
-            raise StructureError(f"{there}: has lost frames since its checkpoint; start the run anew")
+        path = self._existing_file()
+        if not path.exists() or path.stat().st_size < n_bytes:
+            raise StructureError(f"{path}: has lost frames since its checkpoint; start the run anew")
         try:
-            if there.suffix.lower() == ".dcd":
-                with there.open("rb") as file:
+            if path.suffix.lower() == ".dcd":
+                with path.open("rb") as file:
                     app.DCDFile(file, topology, 0.0, append=True)
-                if n_frames and any(frame.x is None for frame in open_frames(there).read(range(n_frames))):
+                if n_frames and any(frame.x is None for frame in open_frames(path).read(range(n_frames))):
                     raise ValueError("a frame is damaged")
-            elif not _are_whole(there, 0, n_bytes, topology.getNumAtoms()):
+            elif not _are_complete(path, 0, n_bytes, topology.getNumAtoms()):
                 raise ValueError("a frame is damaged")
         except (ValueError, struct.error, OSError) as error:
             reason = "damaged" if isinstance(error, StructureError) else error
-            raise StructureError(f"{there}: cannot be continued ({reason}); start the run anew") from None
+            raise StructureError(f"{path}: cannot be continued ({reason}); start the run anew") from None
 
     def _cut(self, n_frames: int, n_bytes: int) -> None:
-        there = self._there()
-        there.replace(self.part)
+        path = self._existing_file()
+        path.replace(self.part)
         with self.part.open("r+b") as file:
             file.truncate(n_bytes)
             if self.path.suffix.lower() == ".dcd":
@@ -132,11 +132,11 @@ class TrajectoryFile:
             begin = self.part.stat().st_size
             x = x[self.atoms]
             self._writer.writeModel(x)
-            if self._file is None and not _are_whole(self.part, begin, self.part.stat().st_size, len(x)):
+            if self._file is None and not _are_complete(self.part, begin, self.part.stat().st_size, len(x)):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.n_frames += 1
 
-    def stored(self) -> tuple[int, int]:
+    def sync(self) -> tuple[int, int]:
         """Write all frames to the disk; return their number and the bytes of the file."""
         with writing(self.path):
             if self._file is not None:
