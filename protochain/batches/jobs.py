@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from protochain.batches.naming import Earlier, NameRequest, absolute, assign_names
-from protochain.chains.setup import ALL_MODELS, Setup, models_asked
+from protochain.chains.setup import ALL_MODELS, Setup, parse_models
 from protochain.core import defaults
 from protochain.core.checks import (
     MOLECULE_SUFFIXES,
@@ -457,7 +457,7 @@ def _models(job_input: _JobInput) -> list[_JobInput]:
             numbers = []  # The job reports the reason when it runs.
         models = numbers if len(numbers) > 1 else [None]
     else:
-        models = models_asked(requested)  # A job without its model reports that.
+        models = parse_models(requested)  # A job without its model reports that.
     return [replace(job_input, settings=job_input.settings.changed(model=model)) for model in models]
 
 

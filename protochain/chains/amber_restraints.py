@@ -21,13 +21,13 @@ _REALS = {
     **dict.fromkeys(("r0a", "r1a", "r2a", "r3a", "r4a", "k0a", "rk2a", "rk3a"), 1),
 }  # fmt: skip
 _SIZES = _INTEGERS | _NAMES | _REALS
-"""Variables of &rst, and how many values each has: AMBER's manual, section on distance restraints."""
+"""Variables of &rst, and their numbers of values: AMBER's manual, section on distance restraints."""
 
 _INHERITED = (
     "ialtd", "ir6", "ninc", "imult", "r1", "r2", "r3", "r4", "rk2", "rk3", "r1a", "r2a", "r3a", "r4a",
     "rk2a", "rk3a", "fxyz", "outxyz",
 )  # fmt: skip
-"""Variables that remain as the last namelist set them."""
+"""Variables whose values persist from the previous namelist."""
 
 INERT = {
     "ixpk": "labels of peaks", "nxpk": "labels of peaks", "ifntyp": "without time averages",
@@ -43,7 +43,7 @@ _REFUSED = {
     "iconstr": "constraints of a direction", "outxyz": "output of components",
     "restraint": "restraints in natural language",
 }  # fmt: skip
-"""Variables that are not implemented: they may only have their defaults."""
+"""Variables that are not implemented and must have their defaults."""
 
 
 def restraints_of_amber(text: str) -> Iterator[Restraint]:
@@ -111,7 +111,7 @@ def _read_variables(body: str, inherited: Mapping[str, Any]) -> dict[str, Any]:
         if not name:
             raise ProtochainError(f"&rst: {token[0]!r} belongs to no variable; give NAME=VALUE")
         if token["comma"]:
-            # A value that is left out remains as it was.
+            # An omitted value remains unchanged.
             index, after_comma = index + after_comma, True
             continue
         for _ in range(int(token["times"] or 1)):
@@ -187,7 +187,7 @@ def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
         or scalar("iresid", 0) not in (0, 1)
     ):
         raise ProtochainError("&rst: ialtd, ir6 and iresid are 0 or 1; correct them")
-    # Where the parabola has no room, its slope is zero, and so is the energy.
+    # If the parabola has no width, slope and energy are zero.
     below = k2 if r2 > r1 or levels else 0.0
     above = k3 if r4 > r3 else 0.0
     unit = 2.0 * KJ_PER_KCAL * (1.0 if turns else ANGSTROM_PER_NM**2)

@@ -84,7 +84,7 @@ def build_chain(
     Raises
     ------
     ChainError
-        If a kind of hinge is unknown, nothing can turn, or a heavy atom has too little mass to give.
+        If a kind of hinge is unknown, nothing can turn, or a heavy atom has too little mass.
     StructureError
         If the selection cannot be read or selects no atom.
 
@@ -95,8 +95,8 @@ def build_chain(
     (6, 5)
     """
     structure, opened = as_structure(structure), str(hinges).split()
-    kinds_asked = [word for word in opened if "@" not in word]
-    unknown = [kind for kind in kinds_asked if kind not in HINGES]
+    open_kinds = [word for word in opened if "@" not in word]
+    unknown = [kind for kind in open_kinds if kind not in HINGES]
     if unknown:
         raise ChainError(f"hinges {unknown[0]!r} is not a kind of hinge; choose from {' '.join(HINGES)}")
 
@@ -104,13 +104,13 @@ def build_chain(
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
     single = {word.replace("@", " ") for word in opened if "@" in word}
-    possible = [*find_hinges(structure, [*kinds_asked, *(_SINGLE if single else ())])]
+    possible = [*find_hinges(structure, [*open_kinds, *(_SINGLE if single else ())])]
     if strange := {name.removeprefix("-") for name in single} - {hinge.name for hinge in possible}:
         raise ChainError(
             f"{structure.name}: there is no hinge {min(strange)!r}; name it as phi@A:3 or chi1@A:3"
         )
     requested_kinds = [
-        hinge for hinge in possible if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)
+        hinge for hinge in possible if moving[hinge.atoms[2]] and _is_requested(hinge, open_kinds, single)
     ]
     turning, group = turning_hinges(structure, bonds, requested_kinds)
     # A molecule without a backbone or side chain to turn, as ACE-NME, is one free body.
@@ -121,7 +121,7 @@ def build_chain(
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = components(bonds, structure.n_atoms)
     if structure.obstacle.any():
-        # Everything kept besides the protein is one body, which is fixed.
+        # All obstacles form one fixed body.
         molecule[structure.obstacle], group[structure.obstacle] = molecule.max() + 1, group.max() + 1
         molecule, group = (np.unique(of, return_inverse=True)[1] for of in (molecule, group))
     parts = group_members(molecule)
@@ -136,7 +136,7 @@ def build_chain(
     loose = root == "free" or (root == "auto" and (len(chains) > 1 or is_body))
     free = [loose and i in chains and bool(moving[atoms].all()) for i, atoms in enumerate(parts)]
     if root == "auto" and chains and len(chains) < len(parts):
-        # Kept molecules hold the frame: the largest chain must not drift away from them.
+        # The frame is fixed by obstacles, so that the largest chain must not drift away from them.
         free[max(chains, key=lambda i: len(parts[i]))] = False
     bodies, atom_body = _walk(structure.name, turning, group, roots, free, "angles" in opened)
     mass = _masses(structure, hydrogen_mass)
@@ -159,10 +159,10 @@ def build_chain(
 
 
 _SINGLE = ("phi", "psi", "omega", "chi")
-"""Kinds of which single hinges are opened and frozen."""
+"""Kinds whose single hinges can be opened or frozen by name."""
 
 
-def _is_asked(hinge: Hinge, kinds: Sequence[str], single: set[str]) -> bool:
+def _is_requested(hinge: Hinge, kinds: Sequence[str], single: set[str]) -> bool:
     """Whether a hinge is of a kind that is open, or opened by its name, and not frozen."""
     kind = hinge.kind.rstrip("12345")
     of_kind = kind in kinds or kind not in _SINGLE
@@ -185,7 +185,7 @@ _STRAIGHT = 0.05
 
 
 def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:
-    """Chain and energy of any argument of :func:`as_structure`. Results are divided anew at their end."""
+    """Chain and energy of any argument of :func:`as_structure`. Results are divided again at their end."""
     chain = source if isinstance(source, Chain) else build_chain(source)
     return chain, as_energy(energy, chain.structure, source)
 

@@ -19,9 +19,9 @@ from protochain.mechanics.multibody.algebra import add, cross, kernel, subtract
 from protochain.structure.molecule.model import Structure
 
 _ON_HINGE = 1e-9
-"""nm. Atoms nearer to an axis than this lie on it: positions are rounded to 1e-15."""
+"""nm. Atoms nearer to an axis than this are on it. Rounding of positions is 1e-15."""
 _WAYS = 1 << 20
-"""Pairs of an atom and a hinge that are looked at in one go, which bounds the memory."""
+"""Pairs of an atom and a hinge in one batch, which bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Chain(Value):
     Parameters
     ----------
     structure : Structure
-        Structure it was built from, whose positions are ``pose(chain, chain.q0).x``.
+        Structure of the chain, whose positions are ``pose(chain, chain.q0).x``.
     tree : Tree
         Bodies, hinges and inertia.
     atom_body : (na,) int
@@ -91,12 +91,12 @@ class Chain(Value):
 
     @property
     def n_q(self) -> int:
-        """Number of coordinates: one a hinge, seven a free root."""
+        """Number of coordinates: one for each hinge, seven for each free root."""
         return self.tree.n_q
 
     @property
     def n_v(self) -> int:
-        """Number of freedoms: one a hinge, six a free root."""
+        """Number of degrees of freedom: one for each hinge, six for each free root."""
         return self.tree.n_v
 
     def hinge(self, name: str) -> int:
@@ -106,8 +106,8 @@ class Chain(Value):
         if len(matches) == 1:
             return matches[0]
         _, _, place = full_name.rpartition(" ")
-        alternatives = [each.name for each in self.hinges if each.name.endswith(f" {place}")]
-        alternatives = alternatives or [each.name for each in self.hinges[:2]]
+        alternatives = [hinge.name for hinge in self.hinges if hinge.name.endswith(f" {place}")]
+        alternatives = alternatives or [hinge.name for hinge in self.hinges[:2]]
         reason = (
             f"{len(matches)} have this name" if matches else f"does not turn; {', '.join(alternatives)} do"
         )
@@ -119,14 +119,14 @@ class Chain(Value):
         Parameters
         ----------
         values : mapping of str to float, degrees
-            By the names of hinges, as ``{"phi A:3": -60.0}``.
+            Values by the names of hinges, as ``{"phi A:3": -60.0}``.
         q : (n_q,) float, optional
-            Coordinates of all other hinges, by default of the input pose.
+            Coordinates of all other hinges. By default, the input pose.
 
         Returns
         -------
         (n_q,) float
-            For :func:`pose`, :func:`protochain.minimise` and :func:`protochain.simulate`.
+            Coordinates for :func:`pose`, :func:`protochain.minimise` and :func:`protochain.simulate`.
 
         Raises
         ------
@@ -143,10 +143,10 @@ class Chain(Value):
 
     @cached_property
     def rigid_groups(self) -> Integers:
-        """(na, k) int: bodies in which each atom is at rest, the body of the atom first, then -1."""
+        """(na, k) int: bodies in which each atom is at rest, its own body first, padded with -1."""
         at, n = pose(self, self.q0), self.n_bodies
         parent = self.tree.parent[self.hinge_body]
-        # Ways across hinges, by the body they start from.
+        # Crossings of hinges, sorted by the body of their start.
         start, end = np.concatenate([self.hinge_body, parent]), np.concatenate([parent, self.hinge_body])
         order = np.argsort(start, kind="stable")
         end, hinged = end[order], np.tile(self.hinge_body, 2)[order]
@@ -155,8 +155,8 @@ class Chain(Value):
         while len(left):
             atom, body = np.divmod(left, n)
             last = np.cumsum(first[body + 1] - first[body])
-            these = slice(max(1, int(np.searchsorted(last, _WAYS))))
-            atom, body, last, left = atom[these], body[these], last[these], left[these.stop :]
+            batch = slice(max(1, int(np.searchsorted(last, _WAYS))))
+            atom, body, last, left = atom[batch], body[batch], last[batch], left[batch.stop :]
             ways = first[body + 1] - first[body]
             way = np.repeat(first[body] - last + ways, ways) + np.arange(last[-1])
             atom, by = np.repeat(atom, ways), hinged[way]
@@ -177,7 +177,7 @@ class Chain(Value):
 
 @dataclass(frozen=True, eq=False)
 class Pose(Value):
-    """Configuration of a chain at one q: an immutable value, so nothing in it can be stale."""
+    """Configuration of a chain at one q, an immutable value."""
 
     q: Floats  # (n_q,): Coordinates.
     frames: Frames  # World frames of the bodies.

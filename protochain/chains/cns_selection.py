@@ -24,7 +24,7 @@ def parse_selection(text: str) -> Selection:
 
     Factors are ``resid``, ``residue`` (numbers, ranges ``3:8``), ``resname``, ``segid``, ``name``, ``atom``
     (segment, residue, name), ``all``, ``none``, ``known`` and ``hydrogen``, joined by ``and``, ``or``,
-    ``not`` and parentheses. Words are known by four letters, in any case: X-PLOR's manual (Brunger 1992),
+    ``not`` and parentheses. Four letters of a word are enough, in any case: X-PLOR's manual (Brunger 1992),
     "Atom Selection".
     """
     tokens = _TOKEN.findall(re.sub(r"\s*:\s*", ":", text))
@@ -71,8 +71,8 @@ def _factor(tokens: list[str]) -> tuple[Selection, list[str]]:
         return lambda structure: np.full(structure.n_atoms, word != "none"), tokens
     if len(word) >= 4 and "hydrogen".startswith(word):
         return lambda structure: structure.atom_element == "H", tokens
-    known = {column for name, column in _COLUMNS.items() if len(word) >= 4 and name.startswith(word)}
-    columns = [0, 1, 2] if word == "atom" else [*known]
+    indices = {column for name, column in _COLUMNS.items() if len(word) >= 4 and name.startswith(word)}
+    columns = [0, 1, 2] if word == "atom" else [*indices]
     if not columns:
         raise ProtochainError(
             f"selection: {word!r} is not implemented; give resid, resname, segid, name, atom"
@@ -115,9 +115,9 @@ def _match_column(column: int, pattern: str) -> Selection:
 
 @of_atoms
 def _columns(structure: Structure) -> list[tuple[list[str], Integers]]:
-    """Different values of segment, residue number, atom name and residue name, and which each atom has."""
-    of = structure.atom_residue
+    """Unique values of segment, residue number, atom name and residue name, and their index for each atom."""
+    rows = structure.atom_residue
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
-    columns = structure.residue_chain[of], number[of], structure.atom_name, structure.residue_name[of]
+    columns = structure.residue_chain[rows], number[rows], structure.atom_name, structure.residue_name[rows]
     pairs = (np.unique(column, return_inverse=True) for column in columns)
     return [(values.tolist(), inverse) for values, inverse in pairs]

@@ -19,7 +19,7 @@ OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
 _NEAR = 0.8
-"""Fraction below which all atoms are that are as near as bonded atoms."""
+"""Fraction that includes all pairs of atoms as close as bonded atoms."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Overlap:
     distance_angstrom: float
     share: float  # Distance as a fraction of the sum of the van der Waals radii.
     remedy: str  # Methods that can separate them.
-    atoms: tuple[int, int]  # Their indices.
-    is_with_hetero: bool  # Whether one of them is of the protein and the other of a molecule kept with it.
+    atoms: tuple[int, int]  # Indices.
+    is_with_hetero: bool  # Whether one is of the protein, the other of a hetero molecule.
 
     def __str__(self) -> str:
         return (
@@ -51,28 +51,28 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
     """Sorted pairs (n, 2) closer than a share of summed radii (n,), nm, and over ``bonds`` bonds apart."""
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
-    # Obstacles do not move relative to one another.
+    # Obstacles do not move relative to each other.
     pairs = pairs[~structure.obstacle[pairs].all(axis=1)]
     touch = radius[pairs].sum(axis=1)
     close = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1) < share * touch
     pairs, touch = pairs[close], touch[close]
     n = structure.n_atoms
     keys = pairs[:, 0] * n + pairs[:, 1]
-    left_out = _keys(structure, bonds)
-    place = np.minimum(np.searchsorted(left_out, keys), len(left_out) - 1)
-    order = np.flatnonzero(left_out[place] != keys) if len(left_out) else np.arange(len(keys))
+    excluded = _keys(structure, bonds)
+    place = np.minimum(np.searchsorted(excluded, keys), len(excluded) - 1)
+    order = np.flatnonzero(excluded[place] != keys) if len(excluded) else np.arange(len(keys))
     order = order[np.argsort(keys[order])]
     return pairs[order].astype(np.int64), touch[order]
 
 
 @of_atoms
 def _keys(structure: Structure, bonds: int) -> Integers:
-    """Ascending numbers i na + j of the pairs of :func:`joined`."""
-    return np.sort(joined(structure, bonds) @ [structure.n_atoms, 1])
+    """Ascending numbers i na + j of the pairs of :func:`bonded_pairs`."""
+    return np.sort(bonded_pairs(structure, bonds) @ [structure.n_atoms, 1])
 
 
 @of_atoms
-def joined(structure: Structure, bonds: int) -> Integers:
+def bonded_pairs(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
     return graph.pairs_within(structure.bonds, structure.n_atoms, bonds)
 
@@ -80,20 +80,20 @@ def joined(structure: Structure, bonds: int) -> Integers:
 @at_positions
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them."""
-    # Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept with it
-    # that are as near as bonded ones, and are not bonded.
+    # Atoms closer than ``OVERLAP``, and heavy atoms of the protein and of a hetero molecule that are as close
+    # as bonded atoms without being bonded.
     if not structure.kept.any():
         pairs, touch = near_pairs(structure, x, OVERLAP)
         return read_only(pairs, np.int64), read_only(touch)
     pairs, touch, reach = *near_pairs(structure, x, _NEAR), _covalent(structure)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    as_bonded = _is_beside(structure, pairs) & (distance < reach[pairs].sum(axis=1))
+    as_bonded = _with_hetero(structure, pairs) & (distance < reach[pairs].sum(axis=1))
     is_overlap = as_bonded | (distance < OVERLAP * touch)
     return read_only(pairs[is_overlap], np.int64), read_only(touch[is_overlap])
 
 
-def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
-    """Whether one atom of a pair (n, 2) is of the protein, and the other is not."""
+def _with_hetero(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
+    """Whether one atom of each pair (n, 2) is of the protein, and the other is not."""
     return np.asarray(structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]])
 
 
@@ -113,7 +113,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     """List the overlapping nonbonded pairs, worst first, and whether torsions can separate them."""
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    share, with_hetero = distance / touch, _is_beside(structure, pairs)
+    share, with_hetero = distance / touch, _with_hetero(structure, pairs)
     groups = chain.rigid_groups if chain is not None and len(pairs) else None
     listed = []
     for k in np.argsort(share, kind="stable"):

@@ -13,7 +13,7 @@ from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angs
 
 _TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
 _SHIFTS = np.array([[0.3, 0.2, -0.4], [6.0, 4.0, -8.0]])
-"""A turn and two shifts (nm) that change any energy that depends on the place: a map, and a wall far off."""
+"""A rotation and two shifts (nm) that change energies of external fields, such as maps and distant walls."""
 
 _UNCHANGED = 1e-6
 """Relative change of an energy by the rounding of moved coordinates."""
@@ -29,21 +29,21 @@ class Frame:
     """
 
     start: Structure  # Structure to superpose on.
-    held_by: str = ""  # What holds the run in place; empty for a free one.
-    superpose: bool = True  # No where positions are asked for as the run went.
+    held_by: str = ""  # Cause of the fixed position, empty for a free run.
+    superpose: bool = True  # False for the positions of the run itself.
 
     def __call__(self, x: Floats) -> Floats:
         """Positions (na, 3) of the run in this frame."""
         if self.held_by or not (self.superpose and np.isfinite(x).all()):
             return x
         alpha = self.start.alpha_carbons
-        # Two points fix no rotation.
+        # Two points do not determine a rotation.
         fitted = alpha if len(alpha) > 2 else np.arange(len(x))
         turn, shift = motion(x[fitted], self.start.positions[fitted])
         return freeze(x @ turn.T + shift)
 
     def ca_rmsds(self, x: Floats) -> tuple[float, float]:
-        """C-alpha RMSDs to the start in angstrom: superposed, and of positions as they are filed."""
+        """C-alpha RMSDs to the start in angstrom, with and without superposition."""
         alpha = self.start.alpha_carbons
         pair = x[alpha], self.start.positions[alpha]
         return rmsd_angstrom(*pair), deviation_angstrom(*pair)
@@ -57,19 +57,19 @@ def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
     """Frame of a run's results. ``held_by``, fixed atoms or the energy of all terms can fix it in space."""
     if not chain.moving.all():
         held_by = "atoms that stand still"
-    # Force fields know no places; a System or callable of the caller's may.
-    elif not held_by and knows_places(energy, chain.structure.positions):
+    # Force fields are translation-invariant. A System or callable of the caller need not be.
+    elif not held_by and depends_on_place(energy, chain.structure.positions):
         held_by = "its energy"
     return Frame(chain.structure, held_by)
 
 
-def knows_places(energy: Energy, x: Floats) -> bool:
+def depends_on_place(energy: Energy, x: Floats) -> bool:
     """Whether the energy changes when all atoms move as one, which force fields with atoms never do."""
     if energy.atoms:
         return False
     value, forces = energy.exact(x)
-    # Terms much larger than their sum show in the forces.
+    # The forces show terms that are much larger than their sum.
     scale = abs(value) + float(np.linalg.norm(forces)) + 1.0
     moved = (energy.exact(x @ _TURN.T + shift)[0] for shift in _SHIFTS)
-    # A value that is not a number, as outside a map, is a change.
+    # NaN, as outside a map, is a change.
     return not all(abs(energy_there - value) <= _UNCHANGED * scale for energy_there in moved)

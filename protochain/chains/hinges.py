@@ -18,7 +18,7 @@ HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", 
 """Kinds of hinge that can be opened. ``polar`` is the rotors that turn hydrogens of O, S and N."""
 
 ON_AXIS = np.deg2rad(5.0)
-"""A hinge is closed if all atoms beyond it lie this near its axis: threshold of cctbx's scitbx/rigid_body."""
+"""A hinge with all outer atoms this close to its axis is closed: threshold of cctbx's scitbx/rigid_body."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +96,9 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
                 yield _hinge(structure, r, label, (a, b, c, d))
     if "ligand" in kinds:
         for bound in structure.ligands:
-            of = int(structure.atom_residue[bound.atoms[0]])
+            residue = int(structure.atom_residue[bound.atoms[0]])
             for atoms in _turning_bonds(bound.ligand.molecule):
-                yield _hinge(structure, of, "torsion", tuple(bound.atoms[list(atoms)].tolist()))
+                yield _hinge(structure, residue, "torsion", tuple(bound.atoms[list(atoms)].tolist()))
 
     if "glycan" in kinds:
         ends = structure.atom_residue[structure.bonds]
@@ -111,7 +111,7 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
 
 
 def _towards_ring(structure: Structure, anomeric: int, bearing: int) -> Iterator[int]:
-    """Atoms of the bonds that turn between an anomeric carbon and the ring that bears it, and one before."""
+    """Atoms of the turning bonds from an anomeric carbon to the ring it is linked to, and one before."""
     element, near = structure.atom_element, structure.neighbours
     yield next(k for k in near[anomeric] if k != bearing and element[k] != "H")
     yield anomeric
@@ -137,7 +137,7 @@ def _hinge(structure: Structure, r: int, label: str, atoms: tuple[int, ...]) -> 
 
 
 def _turning_bonds(molecule: Molecule) -> Iterator[tuple[int, int, int, int]]:
-    """Single bonds outside rings, between heavy atoms that have others, with an atom before and one after."""
+    """Acyclic single bonds between heavy atoms with further neighbours, with an atom before and one after."""
     heavy = molecule.elements != 1
     bonds = molecule.bonds
     near = neighbours(bonds[heavy[bonds].all(axis=1)], molecule.n_atoms)
@@ -150,7 +150,7 @@ def _turning_bonds(molecule: Molecule) -> Iterator[tuple[int, int, int, int]]:
 
 
 def _is_amide(molecule: Molecule, near: Neighbours, b: int, c: int) -> bool:
-    """Whether a bond is one of a nitrogen to a carbon with a double bond to oxygen, nitrogen or sulphur."""
+    """Whether a bond links a nitrogen to a carbon with a double bond to oxygen, nitrogen or sulphur."""
     double = {frozenset(bond) for bond in molecule.bonds[molecule.orders == 2].tolist()}
     return any(
         molecule.elements[n] == 7
@@ -239,7 +239,7 @@ def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
     for k, pair in enumerate(ends):
         for end in pair:
             at.setdefault(end, []).append(k)
-    # Hinge towards the root of each group, and how many hinges lie between.
+    # Hinge towards the root of each group, and number of hinges to the root.
     inward, depth = dict[int, int](), dict[int, int]()
     for root in at:
         queue = [] if root in depth else [root]
@@ -262,7 +262,7 @@ def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
 
 
 def _on_axis(x: Floats, members: Integers, start: int, end: int) -> bool:
-    """Whether all members of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
+    """Whether all members of the group of ``end`` are within ON_AXIS of the axis, seen from that atom."""
     axis = (x[end] - x[start]) / np.linalg.norm(x[end] - x[start])
     arms = x[members] - x[end]
     across = np.linalg.norm(cross(arms, axis), axis=1)

@@ -17,7 +17,7 @@ PLACES = {
     "distance": range(2, 10_000, 2), "mean-distance": (2,), "centroid-distance": (2,), "dihedral": (1, 4),
     "position": (1,),
 }  # fmt: skip
-"""How many places each kind of restraint has."""
+"""Number of places of each kind of restraint."""
 Sides = float | tuple[float, float]
 """One number for both sides, or the numbers below the lower and above the upper bound."""
 
@@ -35,7 +35,7 @@ class Restraint:
         Two places of a distance, as ``A:3:CA``, a residue, or a selection. Between several atoms a
         ``distance`` is (sum r^-6)^(-1/6), as of NOEs. Further pairs of places add to this sum. A
         ``mean-distance`` is (mean r^-6)^(-1/6). A ``centroid-distance`` is the distance of the centres of
-        mass. Four atoms of a dihedral, or its name, ``phi A:3``. One place of positions.
+        mass. A dihedral has four atoms, or its name, ``phi A:3``. A position has one place.
     lower, upper : float, angstrom or degrees
         Bounds.
     stiffness : float, or two below and above the bounds, kJ/mol/nm^2 or kJ/mol/rad^2
@@ -50,7 +50,7 @@ class Restraint:
     Raises
     ------
     ProtochainError
-        If a number makes no sense, or there are too few places.
+        If a number is invalid, or there are too few places.
 
     Notes
     -----
@@ -158,7 +158,7 @@ def _tail(value: Any, name: str) -> int:
 
 
 def _read_sides(text: str) -> Sides:
-    """Read ``1000``, or ``1000,500`` of the two sides."""
+    """Read ``1000``, or ``1000,500`` for the two sides."""
     numbers = tuple(map(float, text.split(",")))
     return numbers[0] if len(numbers) == 1 else _sides(numbers, "restraint")
 
@@ -172,7 +172,7 @@ def _text(value: Sides) -> str:
 
 
 def _first_number(line: Sequence[str]) -> int:
-    """Place of the first of the numbers at the end."""
+    """Index of the first of the numbers at the end."""
     n, one = len(line), r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
     while n and re.fullmatch(f"{one}(,{one})?", line[n - 1]):
         n -= 1

@@ -13,7 +13,7 @@ from protochain.core.errors import ProtochainError, refused
 
 
 def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ...]:
-    """Restraints of a file (a line each, AMBER's or CNS's), of one or several, or of their lines."""
+    """Read restraints from a file (lines, AMBER or CNS), from Restraints, or from their lines."""
     if isinstance(source, Restraint):
         return (source,)
     if isinstance(source, str | Path):
@@ -35,7 +35,7 @@ def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ..
 
 
 def _of_text(text: str) -> Iterable[Restraint]:
-    """Restraints of the text of a file, in the format that its words show."""
+    """Restraints of the text of a file. Its keywords determine the format."""
     if re.search(r"(?im)^[ \t]*[&$]\w", text):
         return restraints_of_amber(text)
     if re.search(r"(?im)^[^#\n]*\bassi(gn?)?\b", text):
@@ -50,7 +50,7 @@ def is_missing(source: str | Path) -> bool:
 
 
 def are_restraints(source: Any) -> bool:
-    """Whether these are restraints, their lines, or a file of them, and not strengths of springs."""
+    """Whether a value is restraints, their lines or their file, rather than strengths of springs."""
     if isinstance(source, Restraint | Path):
         return True
     if isinstance(source, str):

@@ -123,7 +123,7 @@ class Centroids(Value):
         return np.asarray(np.linalg.norm(self._vectors(x), axis=1))
 
     def forces(self, x: Floats, slope: Floats) -> Floats:
-        """Forces (na, 3), shared by the atoms as their masses are."""
+        """Forces (na, 3), distributed among the atoms by mass."""
         vectors = self._vectors(x)
         pull = (-slope / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None] * vectors
         return _at(self.atoms, self.weight[:, None] * pull[self.row], len(x))
@@ -163,7 +163,7 @@ class Displacements(Value):
 
     @classmethod
     def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
-        """Restrain each atom of a place by itself."""
+        """Restrain each atom of a place separately."""
         atoms = np.concatenate([places[0] for places in groups])
         return cls(read_only(atoms, np.int64), read_only(structure.positions[atoms]))
 
@@ -182,10 +182,10 @@ FORMS: tuple[type[Coordinates], ...] = (Distances, Centroids, Dihedrals, Displac
 
 @dataclass(frozen=True)
 class RestraintValue:
-    """Value of a restrained coordinate, and how far it is outside its bounds."""
+    """Value of a restrained coordinate, and its violation of the bounds."""
 
     restraint: str  # Restraint, as its line.
-    # value, bound, violation: Coordinate, the bound next to it, how far outside it is; 0 within the bounds.
+    # value, bound, violation: Coordinate, nearest bound, distance outside the bounds, or 0.
     value: float
     bound: float
     violation: float
@@ -193,7 +193,7 @@ class RestraintValue:
 
     @property
     def excess(self) -> float:
-        """Violation in units of the smallest one that is reported."""
+        """Violation in units of the smallest reported violation."""
         return self.violation / VIOLATED[self.unit]
 
     @property
@@ -294,10 +294,10 @@ class Restraints(Value):
         return _Walls.of([self.listed[row] for row in self.row.tolist()])
 
     def measure(self, x: Floats) -> tuple[RestraintValue, ...]:
-        """Value and violation of each restraint at positions. Of several atoms, the worst counts."""
+        """Value and violation of each restraint at positions. Of several atoms, the worst is returned."""
         values = self.values(x)
         outside, walls = self._walls.outside(values), self._walls
-        # A side without stiffness restrains nothing.
+        # A side without stiffness does not restrain.
         violation = np.abs(outside) * (walls.of_side(walls.stiffness, outside) > 0.0)
         is_high = walls.wrap(values) > 0.5 * (walls.low + walls.high)
         bound = np.where(is_high, walls.high, walls.low)
@@ -342,18 +342,18 @@ class _Walls:
         return cls(unit * low, unit * high, stiffness, linear, exponent, tail, unit, turns)
 
     def wrap(self, values: Floats) -> Floats:
-        """Values, of dihedrals within half a turn of the middle of their bounds."""
+        """Values. Dihedrals are within half a turn of the middle of their bounds."""
         middle = 0.5 * (self.low + self.high)
         near = middle + (values - middle + np.pi) % (2.0 * np.pi) - np.pi
         return np.where(self.turns, near, values)
 
     def outside(self, values: Floats) -> Floats:
-        """How far values are below the lower bound, negative, or above the upper one."""
+        """Signed distance of values outside the bounds, negative below the lower bound."""
         at = self.wrap(values)
         return np.asarray(np.maximum(at - self.high, 0.0) - np.maximum(self.low - at, 0.0))
 
     def of_side(self, sides: Floats, outside: Floats) -> Floats:
-        """Numbers (m,) of the sides (2, m) on which values are."""
+        """Constants (m,) of the sides (2, m) on which values are."""
         return np.where(outside > 0.0, sides[1], sides[0])
 
     def energies(self, values: Floats) -> tuple[Floats, Floats]:
@@ -363,7 +363,7 @@ class _Walls:
         near = np.minimum(e, self.of_side(self.linear, outside))
         energy = 0.5 * k * near**self.exponent
         slope = np.where(e > 0.0, 0.5 * k * self.exponent * near ** (self.exponent - 1.0), 0.0)
-        # Beyond, the energy goes on as a power of e, with the slope that it has there.
+        # Beyond, the energy continues as a power of e, with the same slope.
         ratio = np.where(e > near, e / np.maximum(near, 1e-300), 1.0)
         energy = energy + near * slope * (ratio**self.tail - 1.0) / self.tail
         return energy, np.sign(outside) * slope * ratio ** (self.tail - 1.0)

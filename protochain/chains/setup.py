@@ -1,4 +1,4 @@
-"""How a structure is read, cut into rigid bodies and given an energy: the same for every kind of run."""
+"""Settings for reading a structure, its rigid bodies and its energy, shared by all kinds of runs."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -34,7 +34,7 @@ class Prepared(NamedTuple):
 @document_settings()
 @dataclass(frozen=True)
 class Setup(Settings):
-    """How a structure is read, cut into rigid bodies and given an energy.
+    """Settings for reading a structure, its rigid bodies and its energy.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Setup(Settings):
         None,
         "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
         "or 1-5,8.",
-        lambda given, name: _model(given, name),
+        lambda value, name: _model(value, name),
         doc="Number of the model in the file; the first by default. A batch, or the command ``minimise``, "
         "also takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.",
     )
@@ -201,7 +201,7 @@ class Setup(Settings):
 
     @property
     def poses(self) -> tuple[str, ...]:
-        """Files of poses that are added."""
+        """Files of added poses."""
         return tuple(source for name, source in self.ligands if not name)
 
     def save_ligands(self, result: Any, path: Path) -> None:
@@ -233,7 +233,7 @@ class Setup(Settings):
         Raises
         ------
         ProtochainError
-            One line naming the file or the setting, and the mend.
+            If the structure cannot be prepared. The message names the file or the setting, and a remedy.
         """
         structure = self.load(source, name)
         return Prepared(structure, self.chain(structure), self.energy(structure, build_energy))
@@ -258,7 +258,7 @@ class Setup(Settings):
 
     @property
     def of_building(self) -> dict[str, Any]:
-        """Settings with which a structure that is prepared is completed again."""
+        """Settings for completing a prepared structure again."""
         return {name: getattr(self, name) for name in ("forcefield", "ph", "disulfide", "ligand_charges")}
 
     def chain(self, structure: "Structure") -> "Chain":
@@ -274,14 +274,14 @@ class Setup(Settings):
         return (build_energy or energy)(structure, **{name: getattr(self, name) for name in OF_ENERGY})
 
     def energy_of(self, source: Any, structure: "Structure", names: Iterable[str]) -> "Energy":
-        """Energy of a result in which the named settings are replaced, otherwise the energy of the setup."""
+        """Energy of a result with the named settings replaced, otherwise the energy of the setup."""
         from protochain.energies import as_energy
 
         return as_energy(None, structure, source, **{n: getattr(self, n) for n in OF_ENERGY if n in names})
 
 
-def models_asked(model: int | str) -> tuple[int, ...]:
-    """Return the requested models, given as a number or as ``1-5,8``, in that order and once each."""
+def parse_models(model: int | str) -> tuple[int, ...]:
+    """Return the models of a number or of ``1-5,8``, in order, without duplicates."""
     numbers: dict[int, None] = {}
     for part in str(model).split(","):
         first, _, last = part.partition("-")
@@ -301,4 +301,4 @@ def _model(value: int | str | None, name: str) -> int | str | None:
 
 
 _MOST_MODELS = 100_000
-"""In one range: more are a slip."""
+"""Most models in one range. Larger ranges are taken for errors."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from protochain.chains.setup import ALL_MODELS, Setup, models_asked
+from protochain.chains.setup import ALL_MODELS, Setup, parse_models
 from protochain.cli import options, terminal
 from protochain.cli.lines import with_detail
 from protochain.core import defaults
@@ -138,7 +138,7 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
     if str(output) == options.STANDARD_OUTPUT and not one_file:
         raise ProtochainError("output -: several models are several files; give --one-file to join them")
     numbers = tuple(model_numbers(source))
-    models = numbers if setup.model == ALL_MODELS else models_asked(setup.model)
+    models = numbers if setup.model == ALL_MODELS else parse_models(setup.model)
     refuse_absent(str(source), numbers, models)
     stem, suffix, packing = split_name(output)
     return [

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Pose, pose
-from protochain.chains.frame import Frame, frame_of, knows_places
+from protochain.chains.frame import Frame, depends_on_place, frame_of
 from protochain.chains.restraint_list import describe_violations, measure_restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats, read_only
@@ -212,7 +212,7 @@ def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
     """Whether nothing but fixed atoms, if there are any, holds a run in place."""
     if start.chain.moving.all():
         return not frame.held_by
-    return not run.start_hold.place and not knows_places(start.energy, start.chain.structure.positions)
+    return not run.start_hold.place and not depends_on_place(start.energy, start.chain.structure.positions)
 
 
 def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.chains.chain import Chain, Pose
-from protochain.chains.contacts import joined, near_pairs
+from protochain.chains.contacts import bonded_pairs, near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.molecule.model import Structure, of_atoms
@@ -62,10 +62,10 @@ def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) 
 @of_atoms
 def covalent(structure: Structure) -> Springs:
     """Springs for bonds, angles and dihedrals: between atoms up to three bonds apart."""
-    pairs = joined(structure, 3)
+    pairs = bonded_pairs(structure, 3)
     n = structure.n_atoms
     keys = pairs @ [n, 1]
-    near = [np.isin(keys, joined(structure, bonds) @ [n, 1]) for bonds in (1, 2)]
+    near = [np.isin(keys, bonded_pairs(structure, bonds) @ [n, 1]) for bonds in (1, 2)]
     return Springs(pairs, np.select(near, [BOND, ANGLE], DIHEDRAL))
 
 

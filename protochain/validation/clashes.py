@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.chains.contacts import joined
+from protochain.chains.contacts import bonded_pairs
 from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
@@ -215,7 +215,7 @@ def _is_excluded(structure: Structure, i: Integers, j: Integers) -> NDArray[np.b
 @of_atoms
 def _excluded(structure: Structure) -> Integers:
     """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
-    near, far = joined(structure, 3), joined(structure, 4)
+    near, far = bonded_pairs(structure, 3), bonded_pairs(structure, 4)
     far = far[(structure.atom_element == "H")[far].any(axis=1)]
     return np.sort(np.concatenate([near, far]) @ np.array([structure.n_atoms, 1]))
 
