@@ -34,14 +34,14 @@ def wrong_bonds(structure: Structure, x: Floats) -> Integers:
 
 def bond_lines(structure: Structure, x: Floats, bonds: Integers) -> list[str]:
     """Describe bonds (n, 2) by their lengths: ``CD1 of A:ILE13 to HD11, 10.33 angstrom long, not 1.09``."""
-    known, reference, _, _ = _references(structure)
-    usual = {tuple(atoms): length for atoms, length in zip(known.tolist(), reference.tolist(), strict=True)}
-    lines, of = [], structure.atom_residue
+    pairs, reference, _, _ = _references(structure)
+    usual = {tuple(atoms): length for atoms, length in zip(pairs.tolist(), reference.tolist(), strict=True)}
+    lines, residue_index = [], structure.atom_residue
     for (i, j), length in zip(bonds.tolist(), distance(*x[bonds.T]).tolist(), strict=True):
         first, second = structure.atom(i), structure.atom(j)
-        other = "" if of[i] == of[j] else f" of {second.residue.label}"
+        partner_residue = "" if residue_index[i] == residue_index[j] else f" of {second.residue.label}"
         sizes = f"{ANGSTROM_PER_NM * length:.2f} angstrom long, not {ANGSTROM_PER_NM * usual[i, j]:.2f}"
-        lines.append(f"{first.name} of {first.residue.label} to {second.name}{other}, {sizes}")
+        lines.append(f"{first.name} of {first.residue.label} to {second.name}{partner_residue}, {sizes}")
     return lines
 
 
@@ -56,9 +56,9 @@ def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]
     for molecule in (*structure.ligands, *structure.fragments):
         term = molecule.ligand.parameters.bonds
         pairs = np.sort(molecule.atoms[term.atoms], axis=1)
-        wanted = pairs @ [structure.n_atoms, 1]
-        place = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
-        is_bond = (key[place] == wanted) & (pairs >= 0).all(axis=1)
+        term_key = pairs @ [structure.n_atoms, 1]
+        place = order[np.minimum(np.searchsorted(key, term_key, sorter=order), len(key) - 1)]
+        is_bond = (key[place] == term_key) & (pairs >= 0).all(axis=1)
         length[place[is_bond]] = term.parameters[is_bond, 0]
     reach = covalent_radii(structure)[bonds].sum(axis=1) / ANGSTROM_PER_NM
     loose = np.isnan(length) | (structure.atom_element[bonds] == "H").any(axis=1)

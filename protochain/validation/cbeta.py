@@ -44,8 +44,8 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     atoms = amino.atoms("N", "CA", "C", "CB")
     # A planar C-alpha, as of dehydroamino acids, has another place for it.
     tetrahedral = np.bincount(structure.bonds.ravel(), minlength=structure.n_atoms)[atoms[:, 1]] > 3
-    whole = (atoms != NONE).all(axis=1) & tetrahedral
-    residue = np.flatnonzero(whole & (structure.residue_name != "GLY"))
+    complete = (atoms != NONE).all(axis=1) & tetrahedral
+    residue = np.flatnonzero(complete & (structure.residue_name != "GLY"))
     n, alpha, c, beta = ANGSTROM_PER_NM * positions(structure, x)[atoms[residue].T]
     ideal = [_IDEAL[_CLASS.get(name, "")] for name in structure.residue_name[residue].tolist()]
     length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T

@@ -108,8 +108,8 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     tree = cKDTree(x)
     pairs = tree.query_pairs(2 * kinds.radius.max() - OVERLAP, output_type="ndarray").astype(np.int64)
     pairs = np.sort(pairs[~structure.obstacle[pairs].all(axis=1)], axis=1)
-    apart = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    overlap = kinds.radius[pairs].sum(axis=1) - apart
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    overlap = kinds.radius[pairs].sum(axis=1) - distance
     deep = overlap - _allowance(kinds, pairs) >= OVERLAP
     pairs, overlap = pairs[deep], overlap[deep]
     free = ~_is_excluded(structure, *pairs.T)
@@ -191,9 +191,9 @@ def _at_clouds(structure: Structure, x: Floats) -> Floats:
     kinds, moved = _kinds(structure), np.array(x)
     arm = x[kinds.hydrogens] - x[kinds.parents]
     length = np.linalg.norm(arm, axis=1)
-    known = np.isfinite(kinds.lengths) & (length > 0)
-    share = kinds.lengths[known] / length[known]
-    moved[kinds.hydrogens[known]] = x[kinds.parents[known]] + share[:, None] * arm[known]
+    has_length = np.isfinite(kinds.lengths) & (length > 0)
+    share = kinds.lengths[has_length] / length[has_length]
+    moved[kinds.hydrogens[has_length]] = x[kinds.parents[has_length]] + share[:, None] * arm[has_length]
     return moved
 
 
@@ -207,13 +207,13 @@ def _allowance(kinds: _Kinds, pairs: Integers) -> Floats:
 
 def _is_excluded(structure: Structure, i: Integers, j: Integers) -> NDArray[np.bool_]:
     """Whether atoms i and j (n,) are too few bonds apart to clash."""
-    code, known = np.minimum(i, j) * structure.n_atoms + np.maximum(i, j), _excluded(structure)
-    at = np.minimum(np.searchsorted(known, code), len(known) - 1)
-    return known[at] == code if len(known) else np.zeros(len(code), dtype=bool)
+    code, excluded = np.minimum(i, j) * structure.n_atoms + np.maximum(i, j), _excluded_pairs(structure)
+    index = np.minimum(np.searchsorted(excluded, code), len(excluded) - 1)
+    return excluded[index] == code if len(excluded) else np.zeros(len(code), dtype=bool)
 
 
 @of_atoms
-def _excluded(structure: Structure) -> Integers:
+def _excluded_pairs(structure: Structure) -> Integers:
     """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
     near, far = bonded_pairs(structure, 3), bonded_pairs(structure, 4)
     far = far[(structure.atom_element == "H")[far].any(axis=1)]
@@ -225,9 +225,9 @@ def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np
     seen = np.zeros(len(pairs), dtype=bool)
     for share in (np.zeros(1), np.sqrt(_RIM * np.arange(1, _DOTS) / (_DOTS - 1))):
         for way in (pairs, pairs[:, ::-1]):
-            left = np.flatnonzero(~seen)
-            for some in np.split(left, range(_PORTION, len(left), _PORTION)):
-                seen[some] = _has_free_dot(structure, tree, way[some], share)
+            unseen = np.flatnonzero(~seen)
+            for batch in np.split(unseen, range(_PORTION, len(unseen), _PORTION)):
+                seen[batch] = _has_free_dot(structure, tree, way[batch], share)
     return seen
 
 
@@ -240,41 +240,41 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
     dots, farthest = dots.reshape(-1, 3), kinds.radius.max()
     hidden = np.zeros(len(dots), dtype=bool)
 
-    def hide(dot: Integers, other: Integers) -> None:
+    def hide(dot: Integers, atom: Integers) -> None:
         row = dot // len(share)
-        depth = kinds.radius[other] - np.linalg.norm(x[other] - dots[dot], axis=1)
-        excluded = _is_excluded(structure, first[row], other)
-        stranger = (other != first[row]) & (other != second[row])
+        depth = kinds.radius[atom] - np.linalg.norm(x[atom] - dots[dot], axis=1)
+        excluded = _is_excluded(structure, first[row], atom)
+        stranger = (atom != first[row]) & (atom != second[row])
         hidden[dot[np.where(excluded, depth > 0, stranger & (depth > reach[dot]))]] = True
 
     # Of many atoms upon one another the nearest hide most dots; for what is left all are looked at.
-    others = np.asarray(tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1])
-    dot, rank = np.nonzero(others < tree.n)
-    hide(dot, others[dot, rank])
-    left = np.flatnonzero(~hidden)
-    count = np.asarray(tree.query_ball_point(dots[left], farthest, return_length=True))
+    nearest = np.asarray(tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1])
+    dot, rank = np.nonzero(nearest < tree.n)
+    hide(dot, nearest[dot, rank])
+    visible = np.flatnonzero(~hidden)
+    count = np.asarray(tree.query_ball_point(dots[visible], farthest, return_length=True))
     portion = _PORTION * _DOTS * _NEAREST
     ends = np.searchsorted(np.cumsum(count), range(portion, int(count.sum()), portion))
-    for some in np.split(left, ends):
-        near = tree.query_ball_point(dots[some], farthest)
+    for batch in np.split(visible, ends):
+        near = tree.query_ball_point(dots[batch], farthest)
         if (number := [len(atoms) for atoms in near]) and sum(number):
-            hide(np.repeat(some, number), np.concatenate(near).astype(np.int64))
+            hide(np.repeat(batch, number), np.concatenate(near).astype(np.int64))
     return np.asarray(~hidden.reshape(len(pairs), len(share)).all(axis=1))
 
 
 def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) -> Floats:
     """Dots (n, m, 3) on spheres about a (n, 3), in spheres about b by at least a depth (n,), radii (n, 2)."""
     arm = b - a
-    apart = np.maximum(np.linalg.norm(arm, axis=1), 1e-6)
-    axis = arm / apart[:, None]
+    distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-6)
+    axis = arm / distance[:, None]
     inner = np.maximum(radius[:, 1] - depth, 0.0)
-    limit = (apart**2 + radius[:, 0] ** 2 - inner**2) / (2 * apart * radius[:, 0])
+    limit = (distance**2 + radius[:, 0] ** 2 - inner**2) / (2 * distance * radius[:, 0])
     cosine = 1.0 - share**2 * (1.0 - np.clip(limit, -1.0, 1.0)[:, None])
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
-    aside = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
-    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
-    other, turn = cross(axis, aside), GOLDEN * np.arange(len(share))
-    around = np.cos(turn)[:, None] * aside[:, None] + np.sin(turn)[:, None] * other[:, None]
+    e1 = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    e1 /= np.maximum(np.linalg.norm(e1, axis=1, keepdims=True), 1e-9)
+    e2, turn = cross(axis, e1), GOLDEN * np.arange(len(share))
+    around = np.cos(turn)[:, None] * e1[:, None] + np.sin(turn)[:, None] * e2[:, None]
     return np.asarray(
         a[:, None] + radius[:, :1, None] * (cosine[..., None] * axis[:, None] + sine[..., None] * around)
     )

@@ -34,32 +34,32 @@ def united_radii(structure: Structure) -> Floats:
     ends, is_h = both_ways(structure.bonds), element == "H"
     degree = np.bincount(ends[:, 0], minlength=n)
     hydrogens = np.bincount(ends[is_h[ends[:, 1]], 0], minlength=n)
-    known = [_RADIUS.get(symbol, (_OTHERS,)) for symbol in element.tolist()]
-    radius = np.array([row[min(k, len(row) - 1)] for row, k in zip(known, hydrogens.tolist(), strict=True)])
+    radii = [_RADIUS.get(symbol, (_OTHERS,)) for symbol in element.tolist()]
+    radius = np.array([row[min(k, len(row) - 1)] for row, k in zip(radii, hydrogens.tolist(), strict=True)])
     radius[(element == "C") & (degree == 3) & (hydrogens == 1)] = _AROMATIC_CH
     radius[is_h] = 0.0
     return radius
 
 
-def shape_complementarity(structure: Structure, x: Floats, one: Integers, other: Integers) -> float:
-    """Sc of two sides: x (na, 3) nm, one, other (n,) int."""
+def shape_complementarity(structure: Structure, x: Floats, first: Integers, second: Integers) -> float:
+    """Sc of two sides: x (na, 3) nm, first, second (n,) int."""
     radius = united_radii(structure)
-    heavy = [atoms[radius[atoms] > 0.0] for atoms in (one, other)]
+    heavy = [atoms[radius[atoms] > 0.0] for atoms in (first, second)]
     parts = [(ANGSTROM_PER_NM * x[atoms], radius[atoms]) for atoms in heavy]
-    buried = [_buried(*parts[k], *parts[1 - k]) for k in (0, 1)]
+    buried = [_buried_dots(*parts[k], *parts[1 - k]) for k in (0, 1)]
     return complementarity(*buried)
 
 
-def complementarity(one: Dots, other: Dots) -> float:
+def complementarity(first: Dots, second: Dots) -> float:
     """Sc of the buried surfaces of two sides. NaN if a side has no dot."""
-    if not len(one) or not len(other):
+    if not len(first) or not len(second):
         return float("nan")
-    return float(np.mean([_median(one, other), _median(other, one)]))
+    return float(np.mean([_median(first, second), _median(second, first)]))
 
 
-def _buried(x: Floats, radius: Floats, other: Floats, other_radius: Floats) -> Dots:
+def _buried_dots(x: Floats, radius: Floats, partner: Floats, partner_radius: Floats) -> Dots:
     """Dots of a side that the other hides from the probe, without the periphery."""
-    tree, reach = cKDTree(other), other_radius + PROBE
+    tree, reach = cKDTree(partner), partner_radius + PROBE
     near = tree.query(x)[0] < (radius + PROBE + _BEYOND + reach.max(initial=0.0))
     dots = molecular_surface(x, radius, PROBE, DENSITY, near)
     if not len(dots):
@@ -72,10 +72,10 @@ def _buried(x: Floats, radius: Floats, other: Floats, other_radius: Floats) -> D
     return dots[hidden]
 
 
-def _median(one: Dots, other: Dots) -> float:
+def _median(first: Dots, second: Dots) -> float:
     """Median of S over the area of a side."""
-    distance, nearest = cKDTree(other.x).query(one.x)
-    s = -(one.normal * other.normal[nearest]).sum(axis=1) * np.exp(-WEIGHT * distance**2)
+    distance, nearest = cKDTree(second.x).query(first.x)
+    s = -(first.normal * second.normal[nearest]).sum(axis=1) * np.exp(-WEIGHT * distance**2)
     order = np.argsort(s)
-    below = np.cumsum(one.area[order])
+    below = np.cumsum(first.area[order])
     return float(s[order][np.searchsorted(below, 0.5 * below[-1])])

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 
-def _measured(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
+def _measure_once(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
     """Attribute of :class:`Found`, measured when it is first asked for."""
-    return cached_property(lambda found: measure(found.structure, found.x))
+    return cached_property(lambda findings: measure(findings.structure, findings.x))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +53,18 @@ class Found(Value):
     structure: Structure
     x: Floats  # (na, 3) nm.
 
-    violations = _measured(violations)
-    clashes = _measured(clashes)
-    ramachandran = _measured(ramachandran)
-    side_chains = _measured(side_chains)
-    cbeta = _measured(cbeta_deviations)
-    peptides = _measured(omegas)
-    inverted_stereocentres = _measured(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
-    rings = _measured(threaded_rings)
-    fixed = _measured(fixed_faults)
-    strain = _measured(strain)
-    nucleotides = _measured(nucleotides)
-    double_bonds = _measured(inverted_double_bonds)
+    violations = _measure_once(violations)
+    clashes = _measure_once(clashes)
+    ramachandran = _measure_once(ramachandran)
+    side_chains = _measure_once(side_chains)
+    cbeta = _measure_once(cbeta_deviations)
+    peptides = _measure_once(omegas)
+    inverted_stereocentres = _measure_once(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
+    rings = _measure_once(threaded_rings)
+    fixed = _measure_once(fixed_faults)
+    strain = _measure_once(strain)
+    nucleotides = _measure_once(nucleotides)
+    double_bonds = _measure_once(inverted_double_bonds)
 
     @cached_property
     def ligands(self) -> tuple[LigandFound, ...]:
@@ -112,8 +112,8 @@ class Found(Value):
         kinds["angle"] = np.concatenate([kinds["angle"], self.violations.angles_c_n_ca])
         concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
         for r in self.violations.residues.tolist():
-            if named := [name for name in kinds if r in concerned[name]]:
-                yield r, f"violation ({', '.join(named)})"
+            if violated := [name for name in kinds if r in concerned[name]]:
+                yield r, f"violation ({', '.join(violated)})"
         # Bonds outside the protein are listed with the other faults there.
         covalent = self.violations.covalent[~s.kept[self.violations.covalent].all(axis=1)]
         for pair, line in zip(covalent.tolist(), bond_lines(s, self.x, covalent), strict=True):
@@ -122,8 +122,8 @@ class Found(Value):
         for (i, j), overlap in zip(of[self.clashes.pairs], self.clashes.overlap_angstrom, strict=True):
             worst.setdefault((min(i, j), max(i, j)), overlap)
         for (i, j), overlap in worst.items():
-            other = "within it" if i == j else f"with {s.describe_residue(j)}"
-            yield int(i), f"clash {other} ({overlap:.1f} angstrom)"
+            partner = "within it" if i == j else f"with {s.describe_residue(j)}"
+            yield int(i), f"clash {partner} ({overlap:.1f} angstrom)"
         rama = self.ramachandran
         for k in np.flatnonzero(rama.region == 0).tolist():
             yield int(rama.residue[k]), f"Ramachandran outlier (phi {rama.phi[k]:.0f}, psi {rama.psi[k]:.0f})"
@@ -143,22 +143,22 @@ class Found(Value):
             yield int(of[atom]), f"{s.atom_name[atom]} inverted"
         for pair in self.double_bonds:
             yield int(of[pair[0]]), f"{'='.join(s.atom_name[pair])} has the other E/Z than its chemistry"
-        for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
+        for term, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
             first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
             for r, count in zip(first.tolist(), counts.tolist(), strict=True):
-                yield r, f"{counted(count, what)} strained"
+                yield r, f"{counted(count, term)} strained"
         sugars = self.nucleotides
         for k in np.flatnonzero(sugars.outlier).tolist():
             yield int(sugars.residue[k]), f"sugar {sugars.pucker[k]} with delta {sugars.delta[k]:.0f}"
         for ring in self.rings:
             yield ring.residue, str(ring)
-        for stated, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
+        for fault, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
             for i, j in pairs.tolist():
-                apart = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
-                other = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
+                distance = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
+                partner = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
                 yield (
                     int(of[i]),
-                    f"{s.atom_name[i]} to {s.atom_name[j]}{other} {stated} ({apart:.2f} angstrom)",
+                    f"{s.atom_name[i]} to {s.atom_name[j]}{partner} {fault} ({distance:.2f} angstrom)",
                 )
 
 
@@ -259,13 +259,13 @@ class Remaining(NamedTuple):
     places: Callable[[Found], list[str]]  # Where a :class:`Found` has it.
 
 
-def _residues(found: Found, residues: Any) -> list[str]:
-    return [str(found.structure.residue(int(r))) for r in np.unique(residues)]
+def _residues(findings: Found, residues: Any) -> list[str]:
+    return [str(findings.structure.residue(int(r))) for r in np.unique(residues)]
 
 
-def _at_interfaces(found: Found) -> list[str]:
+def _at_interfaces(findings: Found) -> list[str]:
     """Pairs of residues of two chains that clash, the worst first."""
-    of, s = found.structure.atom_residue[found.clashes.pairs], found.structure
+    of, s = findings.structure.atom_residue[findings.clashes.pairs], findings.structure
     between = s.residue_chain[of[:, 0]] != s.residue_chain[of[:, 1]]
     pairs = dict.fromkeys(map(tuple, np.sort(of[between], axis=1).tolist()))
     return [f"{s.residue(i)} with {s.residue(j)}" for i, j in pairs]
@@ -301,6 +301,6 @@ def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
 
 def remains_in_words(record: Mapping[str, Any], shown: int = 6) -> list[str]:
     """Describe faults in a record beyond its message: a line for each of ``REMAINS`` with places."""
-    named = () if record.get("status") == "clash" else _JUDGED
-    places = {key: record.get(key) for key in REMAINS if key not in named}
+    in_message = () if record.get("status") == "clash" else _JUDGED
+    places = {key: record.get(key) for key in REMAINS if key not in in_message}
     return [f"{REMAINS[key].what}: {listed(at, shown)} ({len(at)})" for key, at in places.items() if at]

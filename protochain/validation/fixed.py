@@ -35,15 +35,15 @@ class FixedFaults(NamedTuple):
     def lines(self, structure: Structure, x: Floats) -> list[str]:
         """Describe each in a line."""
         pairs = np.vstack([self.bonds, self.clashes])
-        apart = ANGSTROM_PER_NM * np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+        distance = ANGSTROM_PER_NM * np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
         ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
-        return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
+        return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, distance, strict=True)]
 
     def summary(self, structure: Structure, x: Floats) -> str:
         """Number of faults, and the first of them. Empty without any."""
         counts = [
-            counted(len(pairs), what)
-            for pairs, what in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
+            counted(len(pairs), noun)
+            for pairs, noun in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
             if len(pairs)
         ]
         if not counts:
@@ -53,24 +53,24 @@ class FixedFaults(NamedTuple):
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
     """Count the residues that stand still outside the protein, by name, the most frequent first."""
-    return dict(Counter(structure.residue_name[_still(structure)].tolist()).most_common())
+    return dict(Counter(structure.residue_name[_obstacle_residues(structure)].tolist()).most_common())
 
 
 def fixed_residues(structure: Structure) -> Integers:
     """(n,) int: residues that stand still outside the protein, but waters."""
-    residues = _still(structure)
+    residues = _obstacle_residues(structure)
     return np.asarray(residues[structure.residue_name[residues] != "HOH"])
 
 
 def chains_still(structure: Structure) -> tuple[int, int]:
     """Count the amino acids of chains that stand still, and all of them."""
     backbone = np.isin(structure.atom_name, ["N", "CA", "C"]) & np.isin(structure.atom_element, ["N", "C"])
-    whole = np.bincount(structure.atom_residue[backbone], minlength=structure.n_residues) == 3
-    still = _still(structure)
-    return int(whole[still].sum()), int(whole.sum())
+    complete = np.bincount(structure.atom_residue[backbone], minlength=structure.n_residues) == 3
+    still = _obstacle_residues(structure)
+    return int(complete[still].sum()), int(complete.sum())
 
 
-def _still(structure: Structure) -> Integers:
+def _obstacle_residues(structure: Structure) -> Integers:
     return np.unique(structure.atom_residue[structure.obstacle])
 
 
@@ -82,8 +82,8 @@ def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     if not structure.kept.any():
         return FixedFaults(none, none)
     x = positions(structure, x)
-    wrong = wrong_bonds(structure, x)
-    broken = np.vstack([wrong[structure.kept[wrong].all(axis=1)], _torn(structure, x)])
+    bonds = wrong_bonds(structure, x)
+    broken = np.vstack([bonds[structure.kept[bonds].all(axis=1)], _torn_bonds(structure, x)])
     return FixedFaults(broken, _clashes(structure, x) if structure.obstacle.any() else none)
 
 
@@ -94,22 +94,22 @@ def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
     return np.asarray(is_kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
 
 
-def _torn(structure: Structure, x: Floats) -> Integers:
+def _torn_bonds(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: nearest atoms of pieces of fixed molecules, except nucleotides and metal complexes."""
     of, element = structure.atom_residue, structure.atom_element
     skipped = _of_nucleotides(structure)
     skipped[of[metals(structure)]] = True
     fixed = structure.obstacle & (element != "H") & ~skipped[of]
     bonds = structure.bonds[fixed[structure.bonds].all(axis=1)]
-    piece, torn = components(bonds[of[bonds[:, 0]] == of[bonds[:, 1]]], structure.n_atoms), []
+    piece, pairs = components(bonds[of[bonds[:, 0]] == of[bonds[:, 1]]], structure.n_atoms), []
     for residue in np.unique(of[fixed]).tolist():
         atoms = np.flatnonzero(fixed & (of == residue))
-        for other in np.unique(piece[atoms])[1:]:
-            loose, rest = atoms[piece[atoms] == other], atoms[piece[atoms] < other]
-            apart = np.linalg.norm(x[loose][:, None] - x[rest], axis=2)
-            i, j = np.unravel_index(np.argmin(apart), apart.shape)
-            torn.append(sorted((int(loose[i]), int(rest[j]))))
-    return np.array(torn, dtype=np.int64).reshape(-1, 2)
+        for number in np.unique(piece[atoms])[1:]:
+            loose, earlier = atoms[piece[atoms] == number], atoms[piece[atoms] < number]
+            distance = np.linalg.norm(x[loose][:, None] - x[earlier], axis=2)
+            i, j = np.unravel_index(np.argmin(distance), distance.shape)
+            pairs.append(sorted((int(loose[i]), int(earlier[j]))))
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _clashes(structure: Structure, x: Floats) -> Integers:
@@ -118,16 +118,16 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
     radius = radii(structure)
     near = heavy[cKDTree(x[heavy]).query_pairs(2.0 * radius[heavy].max() - _CLASH, output_type="ndarray")]
     near = np.sort(near[structure.obstacle[near].any(axis=1)], axis=1)
-    apart = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
+    distance = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
     # Molecules of two alternate states may lie in one place.
     together = structure.occupancy[near].sum(axis=1) > 1.0
-    close = (radius[near].sum(axis=1) - apart > _CLASH) & together
+    close = (radius[near].sum(axis=1) - distance > _CLASH) & together
     pairs, n = near[close], structure.n_atoms
-    near_by = pairs_within(np.vstack([structure.bonds, _between(structure, x)]), n, 3)
+    near_by = pairs_within(np.vstack([structure.bonds, _bonds_between(structure, x)]), n, 3)
     return pairs[~np.isin(pairs @ [n, 1], near_by @ [n, 1])]
 
 
-def _between(structure: Structure, x: Floats) -> Integers:
+def _bonds_between(structure: Structure, x: Floats) -> Integers:
     """Bonds (n, 2) between fixed residues, for example of a glycan. Only one pair of atoms may be so near."""
     fixed = np.flatnonzero(structure.obstacle & (structure.atom_element != "H"))
     radius, of = covalent_radii(structure), structure.atom_residue
@@ -136,5 +136,5 @@ def _between(structure: Structure, x: Floats) -> Integers:
     near = near[of[near[:, 0]] != of[near[:, 1]]]
     length = ANGSTROM_PER_NM * np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
     near = near[length <= radius[near].sum(axis=1) + _BOND_SLACK]
-    which, count = np.unique(np.sort(of[near], axis=1), axis=0, return_inverse=True, return_counts=True)[1:]
-    return near[count[which.ravel()] == 1]
+    index, count = np.unique(np.sort(of[near], axis=1), axis=0, return_inverse=True, return_counts=True)[1:]
+    return near[count[index.ravel()] == 1]

@@ -40,12 +40,12 @@ def norms() -> tuple[Norm, ...]:
 @cache
 def slots() -> dict[tuple[str, str], int]:
     """Place (0 to 13) of each heavy atom in its residue, by names of residue and atom: N, CA, C, O first."""
-    found: dict[tuple[str, str], int] = {}
+    place_of: dict[tuple[str, str], int] = {}
     for residue in TYPES:
         first = dict.fromkeys(("N", "CA", "C", "O"))
         names = first | dict.fromkeys(name for row in norms() if row.residue == residue for name in row.atoms)
-        found |= {(residue, name): place for place, name in enumerate(names)}
-    return found
+        place_of |= {(residue, name): place for place, name in enumerate(names)}
+    return place_of
 
 
 @cache
@@ -53,13 +53,13 @@ def distances() -> tuple[Floats, Floats]:
     """Usual distances (20, 14, 14), angstrom, one or two bonds apart, and deviations, or NaN."""
     shape = (len(TYPES), WIDTH, WIDTH)
     mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-    for wanted in (2, 3):
+    for n_atoms in (2, 3):
         for row in norms():
-            if len(row.atoms) != wanted:
+            if len(row.atoms) != n_atoms:
                 continue
             kind, places = TYPES.index(row.residue), [slots()[row.residue, name] for name in row.atoms]
             value = (row.mean, row.sigma)
-            if wanted == 3:
+            if n_atoms == 3:
                 i, j, k = places
                 arms = ((mean[kind, i, j], sigma[kind, i, j]), (mean[kind, j, k], sigma[kind, j, k]))
                 value = _opposite(*arms, (np.radians(row.mean), np.radians(row.sigma)))

@@ -187,12 +187,12 @@ class Interface(Value):
         return row | {key: ",".join(names[touching["side"] == k]) for k, key in enumerate(RESIDUES, 1)}
 
     def __repr__(self) -> str:
-        its = self.scores
-        sc = its["shape_complementarity"]
+        scores = self.scores
+        sc = scores["shape_complementarity"]
         return (
-            f"<Interface {self.name} of {self.structure.name}: {its['energy_kj_mol']:.1f} kJ/mol, "
-            f"{its['buried_area_angstrom2']:.0f} angstrom^2, Sc {'-' if sc is None else f'{sc:.2f}'}, "
-            f"{its['hydrogen_bonds']} hydrogen bonds, {its['contacts']} contacts>"
+            f"<Interface {self.name} of {self.structure.name}: {scores['energy_kj_mol']:.1f} kJ/mol, "
+            f"{scores['buried_area_angstrom2']:.0f} angstrom^2, Sc {'-' if sc is None else f'{sc:.2f}'}, "
+            f"{scores['hydrogen_bonds']} hydrogen bonds, {scores['contacts']} contacts>"
         )
 
     def _repr_html_(self) -> str:
@@ -260,9 +260,9 @@ def score_interface(
     """
     structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)
-    made = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
-    beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
-    return scored(structure, native(made), first, second, parts, read_scores(beside))
+    function = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
+    paths = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
+    return scored(structure, native(function), first, second, parts, read_scores(paths))
 
 
 def native(energy: Energy) -> NativeEnergy:
@@ -279,24 +279,24 @@ def scored(
     first: str,
     second: str,
     parts: Sides,
-    given: Confidence | None = None,
+    metrics: Confidence | None = None,
 ) -> Interface:
     """Score an interface whose sides (nr,) and energy are known, with the confidence of a model."""
     import pandas as pd
 
     touching = contacts(structure, *parts)
-    buried, areas = _buried(structure, parts)
-    made = (
-        _energetic(structure, energy, parts), buried, _touching(structure, touching),
-        _bonded(structure, parts, *areas),
+    buried, areas = _buried_areas(structure, parts)
+    groups = (
+        _energy_scores(structure, energy, parts), buried, _contact_scores(structure, touching),
+        _bond_scores(structure, parts, *areas),
     )  # fmt: skip
-    values: dict[str, Any] = {**_confidences(structure, parts, touching, given)}
-    for part in made:
-        values |= part.scores
+    values: dict[str, Any] = {**_confidences(structure, parts, touching, metrics)}
+    for group in groups:
+        values |= group.scores
     values |= _makeup(structure, parts, touching, values)
-    bound, area, n = values["energy_kj_mol"], values["buried_area_angstrom2"], len(np.unique(touching))
-    values["energy_per_area_kj_mol_nm2"] = bound / area * ANGSTROM_PER_NM**2 if area else None
-    values["energy_per_residue_kj_mol"] = bound / n if n else None
+    binding, area, n = values["energy_kj_mol"], values["buried_area_angstrom2"], len(np.unique(touching))
+    values["energy_per_area_kj_mol_nm2"] = binding / area * ANGSTROM_PER_NM**2 if area else None
+    values["energy_per_residue_kj_mol"] = binding / n if n else None
     scores = {key: values[key] for key in (*SCORES, *MAKEUP, *CONFIDENCES)}
     scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
     columns = {
@@ -304,7 +304,7 @@ def scored(
         "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
         "name": structure.residue_name_in_file,
     }  # fmt: skip
-    table = pd.DataFrame(columns | {key: its for each in made for key, its in each.columns.items()})
+    table = pd.DataFrame(columns | {key: column for kind in groups for key, column in kind.columns.items()})
     shown = (table["contacts"] > 0) | (table["buried_area_angstrom2"] > 0.0)
     shares = table["energy_kj_mol"].to_numpy()
     return Interface(structure, energy, first, second, scores, table[shown].reset_index(drop=True), shares)
@@ -317,7 +317,7 @@ class _Scored(NamedTuple):
     columns: dict[str, Floats | Integers]
 
 
-def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Scored:
+def _energy_scores(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Scored:
     """Energy between the sides, by term, and the cost of desolvation."""
     between, desolvation = interaction(structure, energy, structure.positions, *parts)
     terms = dict(zip(TERMS, between.sum(axis=1).tolist(), strict=True))
@@ -335,20 +335,20 @@ def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Sco
     })  # fmt: skip
 
 
-def _buried(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
+def _buried_areas(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
     """Areas that the sides lose, their fit, and the remaining and lost areas of atoms (na,)."""
     of, polar = structure.atom_residue, _polar(structure)
     masks = [part[of] for part in parts]
     together, lost = _areas(structure, *masks)
     heavy = [mask & (structure.atom_element != "H") for mask in masks]
-    spheres = [(ANGSTROM_PER_NM * structure.positions[its], united_radii(structure)[its]) for its in heavy]
+    spheres = [(ANGSTROM_PER_NM * structure.positions[side], united_radii(structure)[side]) for side in heavy]
     scores = {
         "buried_area_angstrom2": float(lost.sum()),
         "buried_heavy_area_angstrom2": float(_areas(structure, *heavy)[1].sum()),
         "packing": packing(*spheres[0], *spheres[1]),
         **{
-            f"buried_{kind}_{k + 1}_angstrom2": float(lost[masks[k] & its].sum())
-            for k in (0, 1) for kind, its in (("polar", polar), ("apolar", ~polar))
+            f"buried_{kind}_{k + 1}_angstrom2": float(lost[masks[k] & atoms].sum())
+            for k in (0, 1) for kind, atoms in (("polar", polar), ("apolar", ~polar))
         },
         "shape_complementarity": shape_complementarity(
             structure, structure.positions, *map(np.flatnonzero, masks)
@@ -358,25 +358,25 @@ def _buried(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, 
     return _Scored(scores, {"buried_area_angstrom2": column}), (together, lost)
 
 
-def _touching(structure: Structure, touching: Integers) -> _Scored:
+def _contact_scores(structure: Structure, touching: Integers) -> _Scored:
     """Residues in contact."""
     sides_of = [len(np.unique(side)) for side in touching.T]
     scores = {
         "contacts": len(touching), "residues_1": sides_of[0], "residues_2": sides_of[1],
         "contacts_per_residue": 2.0 * len(touching) / sum(sides_of) if sum(sides_of) else None,
     }  # fmt: skip
-    return _Scored(scores, {"contacts": _counted(touching, structure)})
+    return _Scored(scores, {"contacts": _count_by_residue(touching, structure)})
 
 
 def _makeup(
-    structure: Structure, parts: Sides, touching: Integers, found: Mapping[str, Any]
+    structure: Structure, parts: Sides, touching: Integers, row: Mapping[str, Any]
 ) -> dict[str, float | None]:
     """Columns of ``MAKEUP``: shares of amino acids, None for a side without any."""
     fold, scores = secondary_structure(structure), dict[str, float | None]()
     for k, part in enumerate(parts):
         near = np.unique(touching[:, k])
         per = 100.0 / len(near) if len(near) else None
-        counts = {"hydrogen_bonds": found["hydrogen_bonds"], "unsatisfied": found["unsatisfied_polar_atoms"]}
+        counts = {"hydrogen_bonds": row["hydrogen_bonds"], "unsatisfied": row["unsatisfied_polar_atoms"]}
         shares = {key: None if per is None else per * n for key, n in counts.items()}
         amino = near[fold[near] != ""]
         shares["hydrophobic"] = _percent(np.isin(structure.residue_name[amino], _HYDROPHOBIC))
@@ -387,11 +387,11 @@ def _makeup(
     return scores
 
 
-def _percent(which: NDArray[np.bool_]) -> float | None:
-    return 100.0 * float(which.mean()) if len(which) else None
+def _percent(mask: NDArray[np.bool_]) -> float | None:
+    return 100.0 * float(mask.mean()) if len(mask) else None
 
 
-def _bonded(structure: Structure, parts: Sides, together: Floats, lost: Floats) -> _Scored:
+def _bond_scores(structure: Structure, parts: Sides, together: Floats, lost: Floats) -> _Scored:
     """Hydrogen bonds, salt bridges and clashes across, and polar atoms that are buried without a bond."""
     of = structure.atom_residue
     masks = [part[of] for part in parts]
@@ -402,15 +402,15 @@ def _bonded(structure: Structure, parts: Sides, together: Floats, lost: Floats) 
         "hydrogen_bonds": of[bonds[_across(masks, bonds[:, [0, 2]])][:, [0, 2]]],
         "salt_bridges": [pair for pair in salt_bridges(structure) if _across(parts, np.array([pair]))[0]],
         "clashes": of[clashing[_across(masks, clashing)]],
-        "unsatisfied_polar_atoms": of[_unsatisfied(structure, together, lost, bonds)],
+        "unsatisfied_polar_atoms": of[_unsatisfied_atoms(structure, together, lost, bonds)],
     }
     return _Scored(
-        {key: len(its) for key, its in residues.items()},
-        {key: _counted(its, structure) for key, its in residues.items()},
+        {key: len(rows) for key, rows in residues.items()},
+        {key: _count_by_residue(rows, structure) for key, rows in residues.items()},
     )
 
 
-def _counted(residues: Integers | Sequence[tuple[int, int]], structure: Structure) -> Integers:
+def _count_by_residue(residues: Integers | Sequence[tuple[int, int]], structure: Structure) -> Integers:
     """How often each residue is among some, (nr,)."""
     return np.bincount(np.array(residues, dtype=np.int64).ravel(), minlength=structure.n_residues)
 
@@ -421,39 +421,39 @@ def _across(parts: Sequence[NDArray[np.bool_]], pairs: Integers) -> NDArray[np.b
     return np.asarray((a[i] & b[j]) | (b[i] & a[j]))
 
 
-def _within(x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _within(x: Floats, a: NDArray[np.bool_], b: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(na,) bool: atoms of one mask that are near one of the other."""
     near = np.zeros(len(x), dtype=bool)
-    if one.any() and other.any():
-        near[one] = cKDTree(x[other]).query(x[one], distance_upper_bound=_NEAR)[0] < _NEAR
+    if a.any() and b.any():
+        near[a] = cKDTree(x[b]).query(x[a], distance_upper_bound=_NEAR)[0] < _NEAR
     return near
 
 
-def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _areas(structure: Structure, a: NDArray[np.bool_], b: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """(na,), (na,) float, angstrom^2: accessible areas with both sides present, and the loss of each atom."""
     x = structure.positions
-    changing = [_within(x, one, other), _within(x, other, one)]
+    changing = [_within(x, a, b), _within(x, b, a)]
     together, alone = np.zeros(len(x)), np.zeros(len(x))
     if not changing[0].any():
         return together, alone
-    around = [_within(x, side, near) for side, near in zip((one, other), changing, strict=True)]
-    whole = to_mdtraj(structure)
+    around = [_within(x, side, near) for side, near in zip((a, b), changing, strict=True)]
+    trajectory = to_mdtraj(structure)
     for side, near_side in zip(changing, around, strict=True):
-        alone[side] = _area(whole, near_side)[side]
-    both = changing[0] | changing[1]
-    together[both] = _area(whole, around[0] | around[1])[both]
+        alone[side] = _area(trajectory, near_side)[side]
+    affected = changing[0] | changing[1]
+    together[affected] = _area(trajectory, around[0] | around[1])[affected]
     return together, np.maximum(alone - together, 0.0)
 
 
-def _area(whole: Any, some: NDArray[np.bool_]) -> Floats:
+def _area(trajectory: Any, mask: NDArray[np.bool_]) -> Floats:
     """(na,) float, angstrom^2: accessible areas of some atoms of a trajectory without the others."""
     import mdtraj
 
-    areas, atoms = np.zeros(len(some)), np.flatnonzero(some)
+    areas, atoms = np.zeros(len(mask)), np.flatnonzero(mask)
     # Of two atoms in one place, for which mdtraj ends the process, one has the area.
-    doubled = cKDTree(whole.xyz[0][atoms]).query_pairs(_ONE_PLACE, output_type="ndarray")[:, 1]
+    doubled = cKDTree(trajectory.xyz[0][atoms]).query_pairs(_ONE_PLACE, output_type="ndarray")[:, 1]
     atoms = np.delete(atoms, doubled)
-    accessible = mdtraj.shrake_rupley(whole.atom_slice(atoms), _PROBE, _POINTS)[0]
+    accessible = mdtraj.shrake_rupley(trajectory.atom_slice(atoms), _PROBE, _POINTS)[0]
     areas[atoms] = ANGSTROM_PER_NM**2 * accessible
     return areas
 
@@ -472,24 +472,24 @@ def _polar(structure: Structure) -> NDArray[np.bool_]:
     return np.asarray(~np.isin(np.char.upper(structure.atom_element[_parents(structure)]), _APOLAR))
 
 
-def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: Integers) -> Integers:
+def _unsatisfied_atoms(structure: Structure, together: Floats, lost: Floats, bonds: Integers) -> Integers:
     """(n,) int: N and O, accessible without the other side, that it buries, and without a bond."""
     parents, n, element = _parents(structure), structure.n_atoms, structure.atom_element
     hydrogens = np.bincount(parents, minlength=n) - 1
     degree = np.bincount(structure.bonds.ravel(), minlength=n)
     # A nitrogen with three bonds and no hydrogen, as of proline, neither gives nor takes.
-    can = (element == "O") | ((element == "N") & ((hydrogens > 0) | (degree < 3)))
-    left, before = np.bincount(parents, together, n), np.bincount(parents, together + lost, n)
-    can &= (left < _HIDDEN) & (before >= _HIDDEN)
-    can[bonds[:, [0, 2]]] = False
-    return np.flatnonzero(can)
+    candidates = (element == "O") | ((element == "N") & ((hydrogens > 0) | (degree < 3)))
+    remaining, before = np.bincount(parents, together, n), np.bincount(parents, together + lost, n)
+    candidates &= (remaining < _HIDDEN) & (before >= _HIDDEN)
+    candidates[bonds[:, [0, 2]]] = False
+    return np.flatnonzero(candidates)
 
 
 def _confidences(
-    structure: Structure, parts: Sides, touching: Integers, given: Confidence | None
+    structure: Structure, parts: Sides, touching: Integers, metrics: Confidence | None
 ) -> dict[str, float | None]:
     """Columns of ``CONFIDENCES``, for a model identified by its header or confidence files."""
-    if given is None and "_ma_" not in structure.header:
+    if metrics is None and "_ma_" not in structure.header:
         return dict.fromkeys(CONFIDENCES)
     heavy = structure.atom_element != "H"
     per_residue = means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)
@@ -501,12 +501,12 @@ def _confidences(
         "interface_plddt": scale * float(per_residue[np.unique(touching)].mean()) if len(touching) else None,
         "pdockq": _docking(_DOCKQ, plddt, near, np.log10(max(len(near), 1))),
     }
-    if given is None or structure.origin is None:
+    if metrics is None or structure.origin is None:
         return values
     atoms = structure.origin.atoms
     chains = [*dict.fromkeys(atom.split("/", 1)[0] for atom in atoms)]
-    values["iptm"] = given.mean_iptm(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
-    return values | _of_errors(structure, parts, near, plddt, given.pae, given.tokens(atoms))
+    values["iptm"] = metrics.mean_iptm(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
+    return values | _of_errors(structure, parts, near, plddt, metrics.pae, metrics.tokens(atoms))
 
 
 def _of_errors(
@@ -524,19 +524,19 @@ def _of_errors(
     nucleic = np.isin(structure.residue_name, [*NUCLEOTIDES])
     framed = nucleic.copy()
     framed[structure.atom_residue[(structure.atom_name == "CA") & ~structure.kept]] = True
-    one, other = (token[part & framed & (token >= 0)] for part in parts)
-    if pae is None or not (len(one) and len(other)):
+    first, second = (token[part & framed & (token >= 0)] for part in parts)
+    if pae is None or not (len(first) and len(second)):
         return {}
     least = 2.0 if any(nucleic[part].any() for part in parts) else 1.0
-    errors = pae[np.ix_(one, other)], pae[np.ix_(other, one)]
+    errors = pae[np.ix_(first, second)], pae[np.ix_(second, first)]
     ends = token[structure.atom_residue[near]]
     near_errors = [pae[ends[:, a], ends[:, 1 - a]] for a in (0, 1)]
     return {
-        "pae_angstrom": float(np.mean([each.mean() for each in errors])),
-        "ipsae": max(ipsae(each, least) for each in errors),
+        "pae_angstrom": float(np.mean([block.mean() for block in errors])),
+        "ipsae": max(ipsae(block, least) for block in errors),
         "pdockq2": max(
-            _docking(_DOCKQ2, plddt, near, (1.0 / (1.0 + (each / _DOCKQ2_ERROR) ** 2)).mean())
-            for each in near_errors
+            _docking(_DOCKQ2, plddt, near, (1.0 / (1.0 + (block / _DOCKQ2_ERROR) ** 2)).mean())
+            for block in near_errors
         ) if len(near) else 0.0,
     }  # fmt: skip
 
@@ -558,8 +558,8 @@ def _near_betas(structure: Structure, parts: Sides) -> Integers:
     atoms = [np.flatnonzero(beta & part[of]) for part in parts]
     if not all(map(len, atoms)):
         return np.empty((0, 2), dtype=np.int64)
-    one, other = (cKDTree(structure.positions[side]) for side in atoms)
-    pairs = one.sparse_distance_matrix(other, _DOCKQ_REACH, output_type="ndarray")
+    first, second = (cKDTree(structure.positions[side]) for side in atoms)
+    pairs = first.sparse_distance_matrix(second, _DOCKQ_REACH, output_type="ndarray")
     return np.column_stack([atoms[0][pairs["i"]], atoms[1][pairs["j"]]])
 
 

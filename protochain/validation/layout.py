@@ -48,8 +48,8 @@ def layout(structure: Structure) -> Layout:
     atom: dict[str, Integers] = {}
     for name in np.unique(names).tolist():
         index = np.full(n, NONE)
-        named = of_amino[names == name]
-        index[of[named]] = named
+        atoms = of_amino[names == name]
+        index[of[atoms]] = atoms
         atom[name] = read_only(index, np.int64)
     before, after = np.full(n, NONE), np.full(n, NONE)
     ends = both_ways(structure.bonds)

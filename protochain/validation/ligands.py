@@ -117,14 +117,14 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
     tree = cKDTree(ANGSTROM_PER_NM * x[protein])
     return tuple(
         LigandFound(
-            structure.residue(int(structure.atom_residue[each.atoms[0]])),
-            each.ligand.molecule.source,
+            structure.residue(int(structure.atom_residue[bound.atoms[0]])),
+            bound.ligand.molecule.source,
             strained,
-            int(np.isfinite(_distances(tree, each, x)).sum()),
-            int((np.isin(clashing.pairs, each.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
-            tuple("=".join(each.ligand.molecule.names[i] for i in its) for its in _inverted(each, x)),
+            int(np.isfinite(_distances(tree, bound, x)).sum()),
+            int((np.isin(clashing.pairs, bound.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
+            tuple("=".join(bound.ligand.molecule.names[i] for i in atoms) for atoms in _inversions(bound, x)),
         )
-        for each, strained in zip(structure.ligands, _strains(structure, x), strict=True)
+        for bound, strained in zip(structure.ligands, _strains(structure, x), strict=True)
     )
 
 
@@ -136,7 +136,7 @@ def ligand_motion(start: Structure, x: Floats) -> Floats:
     for row, bound in zip(motion, start.ligands, strict=True):
         molecule, atoms = bound.ligand.molecule, bound.atoms
         if np.isfinite(x[atoms]).all():
-            ends = [_heavy(to_rdkit(molecule, each[atoms])) for each in (x, start.positions)]
+            ends = [_heavy(to_rdkit(molecule, positions[atoms])) for positions in (x, start.positions)]
             heavy = atoms[molecule.heavy]
             row[0] = library("rdkit.Chem.rdMolAlign").CalcRMS(*ends, maxMatches=_MOST_MATCHES)
             row[1] = ANGSTROM_PER_NM * distance(x[heavy], start.positions[heavy]).max()
@@ -186,7 +186,7 @@ def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
     return tuple(value if np.isfinite(value) else None for value in strains)
 
 
-def _inverted(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
+def _inversions(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
     """Stereocentres, and ends of double bonds, by their places in the molecule."""
     heavy = bound.atoms[bound.ligand.molecule.heavy]
     return inverted_atoms(bound.ligand.molecule, np.where(heavy[:, None] < 0, np.nan, x[heavy]))
@@ -197,7 +197,7 @@ def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
     bonds = [
         molecule.atoms[list(atoms)].tolist()
         for molecule in (*structure.ligands, *structure.fragments)
-        for atoms in _inverted(molecule, x)
+        for atoms in _inversions(molecule, x)
         if len(atoms) == 2
     ]
     return np.array(bonds, dtype=np.int64).reshape(-1, 2)
@@ -227,7 +227,7 @@ def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
     far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
     near = outside & ~far
     used = np.flatnonzero(near if near.any() else outside).tolist()
-    made, conformer = chem.RWMol(), chem.Conformer(len(used))
+    receptor, conformer = chem.RWMol(), chem.Conformer(len(used))
     for number, k in enumerate(used):
         atom = chem.Atom(str(structure.atom_element[k]))
         name = str(structure.residue_name[structure.atom_residue[k]])
@@ -235,21 +235,21 @@ def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
         atom.SetMonomerInfo(
             chem.AtomPDBResidueInfo(str(structure.atom_name[k]), residueName=name, isHeteroAtom=is_hetero)
         )
-        made.AddAtom(atom)
+        receptor.AddAtom(atom)
         conformer.SetAtomPosition(number, (ANGSTROM_PER_NM * x[k]).tolist())
-    made.AddConformer(conformer)
-    return made
+    receptor.AddConformer(conformer)
+    return receptor
 
 
 def with_posebusters(
-    structure: Structure, x: Floats, found: tuple[LigandFound, ...]
+    structure: Structure, x: Floats, ligands: tuple[LigandFound, ...]
 ) -> tuple[tuple[LigandFound, ...], str]:
     """Add results of PoseBusters' tests, and return why they were not run, empty if they were."""
     try:
-        made = [_posebusters(structure, each, x) for each in structure.ligands]
+        results = [_posebusters(structure, ligand, x) for ligand in structure.ligands]
     except ProtochainError as error:
-        return found, str(error)
-    return tuple(replace(each, posebusters=its) for each, its in zip(found, made, strict=True)), ""
+        return ligands, str(error)
+    return tuple(replace(ligand, posebusters=row) for ligand, row in zip(ligands, results, strict=True)), ""
 
 
 def findings_of(
@@ -264,11 +264,11 @@ def findings_of(
 
 def at_both_ends(start: LigandFound, end: LigandFound, motion: Floats) -> dict[str, Any]:
     """Flat row of a ligand at the start and the end of a run, with its row of ``ligand_motion``."""
-    noted = {key: value for key, value in start.record().items() if key not in start.measures()}
+    row = {key: value for key, value in start.record().items() if key not in start.measures()}
     for key in start.measures():
         for when, ligand in (("start", start), ("end", end)):
-            noted[_at(key, when)] = ligand.measures()[key]
-    return noted | dict(zip(MOTION, map(float, motion), strict=True))
+            row[_at(key, when)] = ligand.measures()[key]
+    return row | dict(zip(MOTION, map(float, motion), strict=True))
 
 
 def _at(key: str, when: str) -> str:

@@ -78,25 +78,25 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     below 15 angstrom between atoms of different residues counts once.
     """
     matched = match(reference, structure)
-    atoms, own, twin = _correspondence(structure, reference, matched)
+    atoms, model, twin = _correspondence(structure, reference, matched)
     place = ANGSTROM_PER_NM * reference.positions[atoms]
     residue = reference.atom_residue[atoms]
     pairs = _near(place, residue)
-    own = _named_alike(structure, place, residue, pairs, own, twin)
-    kept = _kept(structure, place, pairs, own)
-    of_residue = means_by(residue[pairs].ravel(), np.repeat(kept, 2), reference.n_residues)
+    model = _exchange_twins(structure, place, residue, pairs, model, twin)
+    preserved = _agreement(structure, place, pairs, model)
+    of_residue = means_by(residue[pairs].ravel(), np.repeat(preserved, 2), reference.n_residues)
     lddt = np.full(structure.n_residues, np.nan)
     lddt[matched.model] = of_residue[matched.reference]
     alpha = reference.atom_name[atoms] == "CA"
     of_alphas = alpha[pairs].all(axis=1)
-    there, ours, theirs = own != NONE, structure.positions[own], reference.positions[atoms]
+    present, x, y = model != NONE, structure.positions[model], reference.positions[atoms]
     score = tm_score(reference, structure, matched)
     values = {
-        "lddt": _mean(kept),
-        "lddt_ca": _mean(kept[of_alphas]),
+        "lddt": _mean(preserved),
+        "lddt_ca": _mean(preserved[of_alphas]),
         "tm_score": score,
-        "ca_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there & alpha], theirs[there & alpha]),
-        "heavy_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there], theirs[there]),
+        "ca_rmsd_to_reference_angstrom": rmsd_angstrom(x[present & alpha], y[present & alpha]),
+        "heavy_rmsd_to_reference_angstrom": rmsd_angstrom(x[present], y[present]),
         "matched_percent": 100.0 * matched.coverage,
     }
     plain = {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
@@ -104,32 +104,32 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
 
 
 def _correspondence(
-    structure: Structure, reference: Structure, found: Match
+    structure: Structure, reference: Structure, matched: Match
 ) -> tuple[Integers, Integers, Integers]:
     """Heavy atoms of the reference, and of the structure by name (-1: none) and by the twin's name."""
-    ours, kinds = layout(structure), reference.residue_name[reference.atom_residue]
+    amino, kinds = layout(structure), reference.residue_name[reference.atom_residue]
     # Of a reference of C-alphas nothing has a backbone.
-    known = (
+    usable = (
         (reference.atom_element != "H") & np.isin(kinds, list(STANDARD)) & ~reference.kept & ~reference.built
     )
-    atoms = np.flatnonzero(known)
+    atoms = np.flatnonzero(usable)
     counterpart = np.full(reference.n_residues, NONE)
-    counterpart[found.reference] = found.model
+    counterpart[matched.reference] = matched.model
     residue, name = counterpart[reference.atom_residue[atoms]], reference.atom_name[atoms]
     absent = structure.built
 
-    def named(names: NDArray[np.str_]) -> Integers:
+    def find_atoms(names: NDArray[np.str_]) -> Integers:
         at = np.full(len(atoms), NONE)
         for name in np.unique(names).tolist():
-            its = names == name
-            at[its] = ours.atoms(name)[residue[its], 0]
+            mask = names == name
+            at[mask] = amino.atoms(name)[residue[mask], 0]
         at[(residue == NONE) | absent[at]] = NONE
         return at
 
-    both = {kind: twins | {b: a for a, b in twins.items()} for kind, twins in _TWINS.items()}
-    its_kind = zip(kinds[atoms].tolist(), name.tolist(), strict=True)
-    other = [both.get(kind, {}).get(each, each) for kind, each in its_kind]
-    return atoms, named(name), named(np.array(other, dtype=name.dtype))
+    twins_of = {kind: twins | {b: a for a, b in twins.items()} for kind, twins in _TWINS.items()}
+    pairs = zip(kinds[atoms].tolist(), name.tolist(), strict=True)
+    twin_names = [twins_of.get(kind, {}).get(atom, atom) for kind, atom in pairs]
+    return atoms, find_atoms(name), find_atoms(np.array(twin_names, dtype=name.dtype))
 
 
 def _near(place: Floats, residue: Integers) -> Integers:
@@ -138,27 +138,27 @@ def _near(place: Floats, residue: Integers) -> Integers:
     return np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
 
 
-def _kept(structure: Structure, place: Floats, pairs: Integers, own: Integers) -> Floats:
+def _agreement(structure: Structure, place: Floats, pairs: Integers, model: Integers) -> Floats:
     """Fraction (n,) of the tolerances within which the distance of each pair agrees."""
     x = ANGSTROM_PER_NM * structure.positions
     i, j = pairs.T
-    off = np.abs(distance(x[own[i]], x[own[j]]) - distance(place[i], place[j]))
-    off[(own[i] == NONE) | (own[j] == NONE)] = np.inf
+    off = np.abs(distance(x[model[i]], x[model[j]]) - distance(place[i], place[j]))
+    off[(model[i] == NONE) | (model[j] == NONE)] = np.inf
     return np.asarray(sum((off <= tolerance) * 0.25 for tolerance in _TOLERANCES), dtype=float)
 
 
-def _named_alike(
-    structure: Structure, place: Floats, residue: Integers, pairs: Integers, own: Integers, twin: Integers
+def _exchange_twins(
+    structure: Structure, place: Floats, residue: Integers, pairs: Integers, model: Integers, twin: Integers
 ) -> Integers:
     """Atoms (n,), twins exchanged in residues whose distances to atoms without twins agree better so."""
-    ambiguous = own != twin
-    noted = pairs[ambiguous[pairs].sum(axis=1) == 1]
-    its = residue[np.where(ambiguous[noted[:, 0]], noted[:, 0], noted[:, 1])]
+    ambiguous = model != twin
+    mixed = pairs[ambiguous[pairs].sum(axis=1) == 1]
+    owner = residue[np.where(ambiguous[mixed[:, 0]], mixed[:, 0], mixed[:, 1])]
     n = int(residue.max(initial=-1)) + 1
     as_named, exchanged = (
-        np.bincount(its, _kept(structure, place, noted, names), minlength=n) for names in (own, twin)
+        np.bincount(owner, _agreement(structure, place, mixed, names), minlength=n) for names in (model, twin)
     )
-    return np.where((exchanged > as_named)[residue], twin, own)
+    return np.where((exchanged > as_named)[residue], twin, model)
 
 
 def _mean(values: Floats) -> float:

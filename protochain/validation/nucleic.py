@@ -58,33 +58,33 @@ def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
     """Measure sugars, and find base pairs: x (na, 3) nm."""
     at = _atoms(structure)
     ring = {name for torsion in _RING for name in torsion} | {*_DELTA}
-    whole = [r for r, its in at.items() if ring <= its.keys()]
-    nu = [_torsions(x, at, whole, names) for names in _RING]
-    delta = _torsions(x, at, whole, _DELTA)
+    complete = [r for r, atoms in at.items() if ring <= atoms.keys()]
+    nu = [_torsions(x, at, complete, names) for names in _RING]
+    delta = _torsions(x, at, complete, _DELTA)
     # Equation 3 of Altona and Sundaralingam.
     across = (nu[4] + nu[1] - nu[3] - nu[0]) / (2.0 * np.sin(np.deg2rad([36.0, 72.0])).sum())
     phase, amplitude = np.rad2deg(np.arctan2(across, nu[2])) % 360.0, np.hypot(across, nu[2])
-    far = np.array([_from_glycosidic_bond(x, at, r) for r in whole])
+    far = np.array([_from_glycosidic_bond(x, at, r) for r in complete])
     contradicts = np.isfinite(far) & ((far < _PERPENDICULAR) == (delta <= _MIDDLE))
     outlier = (delta < _LEAST) | (delta > _MOST) | contradicts
     pairs = _pairs(structure, x, at)
-    return Nucleotides(np.array(whole, dtype=np.int64), phase, amplitude, delta, outlier, pairs)
+    return Nucleotides(np.array(complete, dtype=np.int64), phase, amplitude, delta, outlier, pairs)
 
 
-def nucleotide_rows(structure: Structure, found: Nucleotides) -> list[dict[str, Any]]:
+def nucleotide_rows(structure: Structure, sugars: Nucleotides) -> list[dict[str, Any]]:
     """Rows of a table of nucleotides: ``NUCLEOTIDE_COLUMNS``."""
-    of: dict[int, list[int]] = {}
-    for i, j in () if found.pairs is None else found.pairs.tolist():
-        of.setdefault(i, []).append(j)
-        of.setdefault(j, []).append(i)
+    partners: dict[int, list[int]] = {}
+    for i, j in () if sugars.pairs is None else sugars.pairs.tolist():
+        partners.setdefault(i, []).append(j)
+        partners.setdefault(j, []).append(i)
     s = structure
     number = np.char.add(s.residue_number, s.residue_insertion_code)
-    values = (found.residue, found.phase, found.amplitude, found.delta, found.outlier)
+    values = (sugars.residue, sugars.phase, sugars.amplitude, sugars.delta, sugars.outlier)
     rows = []
-    for pucker, r, *its in zip(found.pucker, *(each.tolist() for each in values), strict=True):
-        others = ", ".join(f"{s.residue_chain[k]}:{number[k]}" for k in sorted(of.get(r, ())))
-        each = (str(s.residue_chain[r]), str(number[r]), str(s.residue_name[r]), pucker, *its, others)
-        rows.append(dict(zip(NUCLEOTIDE_COLUMNS, each, strict=True)))
+    for pucker, r, *numbers in zip(sugars.pucker, *(column.tolist() for column in values), strict=True):
+        paired = ", ".join(f"{s.residue_chain[k]}:{number[k]}" for k in sorted(partners.get(r, ())))
+        row = (str(s.residue_chain[r]), str(number[r]), str(s.residue_name[r]), pucker, *numbers, paired)
+        rows.append(dict(zip(NUCLEOTIDE_COLUMNS, row, strict=True)))
     return rows
 
 

@@ -18,28 +18,28 @@ _FEW = 4
 """Number of nearest centres. One of them belongs to the nearest surface."""
 
 
-def packing(x: Floats, radius: Floats, other: Floats, its: Floats) -> float:
-    """Packing of spheres of two sides: x, other (n, 3), radius, its (n,), angstrom. NaN if none are near."""
-    if not len(x) or not len(other):
+def packing(x: Floats, radius: Floats, partner: Floats, partner_radius: Floats) -> float:
+    """Packing of spheres of two sides: centres (n, 3) and radii (n,), angstrom. NaN if none are near."""
+    if not len(x) or not len(partner):
         return float("nan")
-    both, largest = 2.0 * REACH + its.max(), max(radius.max(), its.max())
-    near = cKDTree(other).query(x, distance_upper_bound=both + radius.max())[0] < both + radius
-    between = _around(x[near], radius.max() + REACH)
-    for place, size in ((x, radius), (other, its)):
+    limit, largest = 2.0 * REACH + partner_radius.max(), max(radius.max(), partner_radius.max())
+    near = cKDTree(partner).query(x, distance_upper_bound=limit + radius.max())[0] < limit + radius
+    between = _grid_around(x[near], radius.max() + REACH)
+    for place, size in ((x, radius), (partner, partner_radius)):
         between = between[_outside(between, place, size, REACH) < REACH]
-    x, radius = np.concatenate([x, other]), np.concatenate([radius, its])
+    x, radius = np.concatenate([x, partner]), np.concatenate([radius, partner_radius])
     off = _outside(between, x, radius, largest)
     filled, void = int((off < 0.0).sum()), between[off >= 0.0]
-    empty = _around(void, PROBE)
+    empty = _grid_around(void, PROBE)
     room = np.minimum(_outside(empty, x, radius, 2.0 * PROBE), 2.0 * PROBE - _STEP)
     # A ball without atoms that holds a probe: with one at each point of its surface none is left out.
     for least in np.arange(PROBE, 2.0 * PROBE, _STEP):
-        if (some := (room >= least) & (room < least + _STEP)).any():
-            void = void[cKDTree(empty[some]).query(void, distance_upper_bound=least)[0] > least]
+        if (mask := (room >= least) & (room < least + _STEP)).any():
+            void = void[cKDTree(empty[mask]).query(void, distance_upper_bound=least)[0] > least]
     return filled / (filled + len(void)) if filled else float("nan")
 
 
-def _around(x: Floats, reach: float) -> Floats:
+def _grid_around(x: Floats, reach: float) -> Floats:
     """(n, 3) points of the grid within reach of any of x, and of the nearest point of the grid to it."""
     reach += GRID
     n = int(reach / GRID) + 1
@@ -54,7 +54,7 @@ def _around(x: Floats, reach: float) -> Floats:
     return GRID * (np.argwhere(occupied) + low)
 
 
-def _outside(points: Floats, x: Floats, radius: Floats, most: float) -> Floats:
-    """(n,) distance of points from the nearest sphere's surface, inf beyond ``most``."""
-    far, which = cKDTree(x).query(points, _FEW, distance_upper_bound=radius.max() + most)
-    return np.min(far - np.append(radius, 0.0)[which], axis=1)
+def _outside(points: Floats, x: Floats, radius: Floats, limit: float) -> Floats:
+    """(n,) distance of points from the nearest sphere's surface, inf beyond ``limit``."""
+    distance, nearest = cKDTree(x).query(points, _FEW, distance_upper_bound=radius.max() + limit)
+    return np.min(distance - np.append(radius, 0.0)[nearest], axis=1)

@@ -70,10 +70,10 @@ class Validation(Value):
 
     def listing(self) -> list[str]:
         """List the residues with which something is wrong, in words, in the order of the file."""
-        of: dict[int, list[str]] = defaultdict(list)
-        for residue, what in self.findings:
-            of[residue].append(what)
-        return [f"{self.structure.describe_residue(r)}: {', '.join(of[r])}" for r in sorted(of)]
+        faults: dict[int, list[str]] = defaultdict(list)
+        for residue, fault in self.findings:
+            faults[residue].append(fault)
+        return [f"{self.structure.describe_residue(r)}: {', '.join(faults[r])}" for r in sorted(faults)]
 
     @property
     def ligand_table(self) -> "pd.DataFrame":
@@ -122,16 +122,16 @@ class Validation(Value):
         }  # fmt: skip
 
     def __repr__(self) -> str:
-        wrong = [
+        faults = [
             f"{self.measures[key]} {measure.what}"
             for key, measure in MEASURES.items()
             if measure.whole and key not in ("cis_prolines", "base_pairs") and self.measures[key]
         ]
-        return f"<Validation of {self.structure.name}: {'; '.join(wrong) or 'nothing wrong'}>"
+        return f"<Validation of {self.structure.name}: {'; '.join(faults) or 'nothing wrong'}>"
 
     def _repr_html_(self) -> str:
         words = {key: measure.what for key, measure in MEASURES.items()}
-        words |= {key: what for key, (_, what) in LIKENESS.items()}
+        words |= {key: description for key, (_, description) in LIKENESS.items()}
         rows = {
             words[key]: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
             for key, value in self.measures.items()

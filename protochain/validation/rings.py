@@ -77,24 +77,24 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     ProtochainError
         If x has another shape.
     """
-    return list(_threaded(structure, positions(structure, x)))
+    return list(_find_threaded(structure, positions(structure, x)))
 
 
 @at_positions
-def _threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
-    which, bonds = _near(structure, x)
-    if not len(which):
+def _find_threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
+    ring_index, bonds = _near(structure, x)
+    if not len(ring_index):
         return ()
-    every, (indices, row) = rings(structure), np.unique(which, return_inverse=True)
+    all_rings, (indices, row) = rings(structure), np.unique(ring_index, return_inverse=True)
     triangles = np.zeros((len(indices), LARGEST, 3, 3))  # those of no size are crossed by nothing
     for k, ring in enumerate(indices.tolist()):
-        corners = x[list(every[ring])]
+        corners = x[list(all_rings[ring])]
         spanned = _fan(corners) if len(corners) <= _SMALL else corners[_least_area(corners)]
         triangles[k, : len(spanned)] = spanned
-    crossed = _crossed(triangles[row], x[bonds[:, 0]], x[bonds[:, 1]])
+    crossed = _are_crossed(triangles[row], x[bonds[:, 0]], x[bonds[:, 1]])
     return tuple(
-        _named(structure, every[ring], (i, j))
-        for ring, (i, j) in zip(which[crossed].tolist(), bonds[crossed].tolist(), strict=True)
+        _describe_threading(structure, all_rings[ring], (i, j))
+        for ring, (i, j) in zip(ring_index[crossed].tolist(), bonds[crossed].tolist(), strict=True)
     )
 
 
@@ -116,11 +116,11 @@ def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
         bonded = inner[of[inner[:, 0]] == residue] - start[residue]
         local = _cycles(tuple(map(tuple, bonded.tolist())))
         cycles += [tuple(int(start[residue]) + atom for atom in ring) for ring in local]
-    cycles += _closed(structure, bonds, bonds[~inside])
+    cycles += _closed_rings(structure, bonds, bonds[~inside])
     return tuple(sorted(cycles))
 
 
-def _closed(structure: Structure, bonds: Integers, between: Integers) -> list[tuple[int, ...]]:
+def _closed_rings(structure: Structure, bonds: Integers, between: Integers) -> list[tuple[int, ...]]:
     """Smallest ring through each bond between residues that does not follow the chain."""
     metal = ~np.isin(structure.atom_element, ["C", "N", "O", "S"])
     residue, name = structure.atom_residue[between], structure.atom_name[between]
@@ -148,10 +148,10 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
         atom, size = ahead.popleft()
         if size == LARGEST:
             return ()
-        for other in near[atom]:
-            if other not in before and {atom, other} != {i, j}:
-                before[other] = atom
-                ahead.append((other, size + 1))
+        for neighbour in near[atom]:
+            if neighbour not in before and {atom, neighbour} != {i, j}:
+                before[neighbour] = atom
+                ahead.append((neighbour, size + 1))
     if j not in before:
         return ()
     path = [j]
@@ -161,7 +161,7 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
 
 
 @of_atoms
-def _barred(structure: Structure) -> tuple[frozenset[int], ...]:
+def _barred_atoms(structure: Structure) -> tuple[frozenset[int], ...]:
     """Atoms of each ring, and of all r of a ring of several: their bonds do not go through it."""
     of, barred = structure.atom_residue, []
     for ring in rings(structure):
@@ -172,31 +172,31 @@ def _barred(structure: Structure) -> tuple[frozenset[int], ...]:
 
 def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
     """Indices (n,) of rings, and bonds (n, 2) that are near enough to go through them."""
-    every, bonds = rings(structure), structure.bonds
-    if not every:
+    all_rings, bonds = rings(structure), structure.bonds
+    if not all_rings:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
     middle = 0.5 * (x[bonds[:, 0]] + x[bonds[:, 1]])
     is_long = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1) > _LONG
     short, long = np.flatnonzero(~is_long), np.flatnonzero(is_long)
-    corners = [x[list(ring)] for ring in every]
-    centre = np.array([its.mean(axis=0) for its in corners])
+    corners = [x[list(ring)] for ring in all_rings]
+    centre = np.array([points.mean(axis=0) for points in corners])
     reach = [
-        float(np.sqrt(((its - at) ** 2).sum(axis=1).max())) + 0.5 * _LONG
-        for its, at in zip(corners, centre, strict=True)
+        float(np.sqrt(((points - at) ** 2).sum(axis=1).max())) + 0.5 * _LONG
+        for points, at in zip(corners, centre, strict=True)
     ]
-    close: list[list[int]] = [[] for _ in every]
+    close: list[list[int]] = [[] for _ in all_rings]
     if len(short):
         close = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
-    held = np.asarray(structure.obstacle[bonds].all(axis=1))
-    which, found = [], []
-    for ring, (atoms, barred) in enumerate(zip(every, _barred(structure), strict=True)):
+    fixed = np.asarray(structure.obstacle[bonds].all(axis=1))
+    ring_index, near_bonds = [], []
+    for ring, (atoms, barred) in enumerate(zip(all_rings, _barred_atoms(structure), strict=True)):
         near = np.concatenate([short[np.sort(np.array(close[ring], dtype=np.int64))], long])
         if structure.obstacle[list(atoms)].all():
-            near = near[~held[near]]
+            near = near[~fixed[near]]
         ends = [pair for pair in bonds[near].tolist() if not barred.intersection(pair)]
-        which += [ring] * len(ends)
-        found += ends
-    return np.array(which, dtype=np.int64), np.array(found, dtype=np.int64).reshape(-1, 2)
+        ring_index += [ring] * len(ends)
+        near_bonds += ends
+    return np.array(ring_index, dtype=np.int64), np.array(near_bonds, dtype=np.int64).reshape(-1, 2)
 
 
 def _fan(corners: Floats) -> Floats:
@@ -227,18 +227,18 @@ def _least_area(corners: Floats) -> Integers:
     return read_only(triangles, np.int64)
 
 
-def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
+def _are_crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
     """Whether lines (n,) from start to end go through an odd number of triangles (n, m, 3, 3), by volume."""
     along = (end - start)[:, None]
     a, b, c = (triangles[:, :, k] - start[:, None] for k in range(3))
     normal = cross(b - a, c - a)
-    apart = (normal * a).sum(axis=-1) * (normal * (a - along)).sum(axis=-1) < 0
+    opposite = (normal * a).sum(axis=-1) * (normal * (a - along)).sum(axis=-1) < 0
     turns = np.stack([(cross(p, q) * along).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))])
     within = (turns > 0).all(axis=0) | (turns <= 0).all(axis=0)
-    return np.asarray((apart & within).sum(axis=1) % 2 == 1)
+    return np.asarray((opposite & within).sum(axis=1) % 2 == 1)
 
 
-def _named(structure: Structure, atoms: tuple[int, ...], bond: tuple[int, int]) -> ThreadedRing:
+def _describe_threading(structure: Structure, atoms: tuple[int, ...], bond: tuple[int, int]) -> ThreadedRing:
     of, name = structure.atom_residue, structure.atom_name
     residues = list(dict.fromkeys(of[list(atoms)].tolist()))
     if len(residues) == 1:

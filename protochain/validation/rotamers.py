@@ -94,7 +94,7 @@ def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Intege
         residues = np.flatnonzero(amino.amino & (structure.residue_name == name))
         n_chi = rotamers_of(name)[1].shape[1]
         atoms = np.stack([amino.atoms(*names)[residues] for names in CHI[name][:n_chi]], axis=1)
-        whole = (atoms != NONE).all(axis=(1, 2))
-        kinds.append((name, residues[whole]))
-        quadruples.append(atoms[whole].reshape(-1, 4))
+        complete = (atoms != NONE).all(axis=(1, 2))
+        kinds.append((name, residues[complete]))
+        quadruples.append(atoms[complete].reshape(-1, 4))
     return kinds, np.concatenate(quadruples)

@@ -126,9 +126,9 @@ def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     terms = []
     for atoms in (bonds, triples):
         values = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
-        known = np.isfinite(values).all(axis=1)
-        known &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
-        terms += [atoms[known], values[known]]
+        has_norm = np.isfinite(values).all(axis=1)
+        has_norm &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
+        terms += [atoms[has_norm], values[has_norm]]
     return _Terms(*terms)
 
 
@@ -137,9 +137,9 @@ def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
     names, kind = _kinds(structure)
     table = _parameters(*files)[atoms.shape[1] - 2]
     # Few kinds of terms, many terms.
-    kinds, which = np.unique(kind[atoms], axis=0, return_inverse=True)
+    kinds, index = np.unique(kind[atoms], axis=0, return_inverse=True)
     values = [table.get(tuple(names[term].tolist()), (np.nan, np.nan)) for term in kinds]
-    return np.array(values).reshape(-1, 2)[which.ravel()]
+    return np.array(values).reshape(-1, 2)[index.ravel()]
 
 
 @of_atoms
@@ -172,11 +172,11 @@ def _by_residue() -> Mapping[str, list[Template]]:
 @lru_cache(maxsize=1024)
 def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     """Atom types of a residue: of the template with these atoms, or with the fewest more."""
-    wanted = set(names) - {""}
+    atoms = set(names) - {""}
     name = standard_name(residue)[0]
-    every = [each for each in _by_residue().get(name, ()) if wanted and wanted <= each.element.keys()]
+    usable = [entry for entry in _by_residue().get(name, ()) if atoms and atoms <= entry.element.keys()]
     # Of two with the same atoms, a disulfide's is meant, not that of a thiolate.
-    best = min(every, key=lambda each: (len(each.element) - len(wanted), "CYM" in each.name), default=None)
+    best = min(usable, key=lambda entry: (len(entry.element) - len(atoms), "CYM" in entry.name), default=None)
     return best.type if best is not None else {}
 
 

@@ -86,9 +86,9 @@ def validate(source: Any, reference: Any = None, posebusters: bool = False, **se
         values |= alike.measures
         mapping = alike.match.chain_mapping
         table["lddt"] = alike.lddt[table.index]
-    ligands, why = findings.ligands, ""
+    ligands, reason = findings.ligands, ""
     if posebusters:
-        ligands, why = with_posebusters(structure, structure.positions, ligands)
+        ligands, reason = with_posebusters(structure, structure.positions, ligands)
     return Validation(
-        structure, values, table, findings.violations, tuple(findings.listing()), mapping, ligands, why
+        structure, values, table, findings.violations, tuple(findings.listing()), mapping, ligands, reason
     )

@@ -126,12 +126,12 @@ class Violations(Value):
             bent.append(f"angle: {name} of {where} is {value:.0f} degrees")
         bonds, clashes, within = (
             [
-                f"{what}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
+                f"{kind}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
                 for (i, j), r in zip(
                     pairs.tolist(), np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1), strict=True
                 )
             ]
-            for what, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within))
+            for kind, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within))
         )
         return [*bonds, *bent, *clashes, *within, *covalent]
 
@@ -171,8 +171,8 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
 
 @at_positions
 def _violations(structure: Structure, x: Floats) -> Violations:
-    wrong = wrong_bonds(structure, x)
-    covalent = wrong[~structure.obstacle[wrong].all(axis=1)]
+    wrong_length = wrong_bonds(structure, x)
+    covalent = wrong_length[~structure.obstacle[wrong_length].all(axis=1)]
     x = ANGSTROM_PER_NM * x
     violating = [
         read_only(atoms, np.int64)
@@ -218,13 +218,13 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
     pairs = cKDTree(x[atoms]).query_pairs(reach, output_type="ndarray") if len(atoms) else np.empty((0, 2))
     pairs = np.sort(atoms[pairs.astype(np.int64)], axis=1)
     residue, sulphur = structure.atom_residue, radius == _RADIUS["S"]
-    apart = residue[pairs[:, 0]] != residue[pairs[:, 1]]
+    different = residue[pairs[:, 0]] != residue[pairs[:, 1]]
     # AlphaFold spares all pairs of SG, bonded or not.
-    named = structure.atom_name[pairs] == "SG" if len(pairs) else np.zeros((0, 2), dtype=bool)
-    spared = (named & sulphur[pairs]).all(axis=1)
+    is_sg = structure.atom_name[pairs] == "SG" if len(pairs) else np.zeros((0, 2), dtype=bool)
+    spared = (is_sg & sulphur[pairs]).all(axis=1)
     spared |= np.isin(pairs @ [structure.n_atoms, 1], bonded)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    pairs = pairs[apart & ~spared & (distance < radius[pairs].sum(axis=1) - _OVERLAP)]
+    pairs = pairs[different & ~spared & (distance < radius[pairs].sum(axis=1) - _OVERLAP)]
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
@@ -255,9 +255,9 @@ def _bounds() -> tuple[Floats, Floats]:
     radius = np.zeros(mean.shape[:2])
     for (residue, name), place in slots().items():
         radius[TYPES.index(residue), place] = _RADIUS[name[0]]
-    known = np.isfinite(mean)
-    apart = radius[:, :, None] + radius[:, None] - _OVERLAP
-    return np.where(known, mean - _SIGMAS * sigma, apart), np.where(known, mean + _SIGMAS * sigma, np.inf)
+    finite = np.isfinite(mean)
+    contact = radius[:, :, None] + radius[:, None] - _OVERLAP
+    return np.where(finite, mean - _SIGMAS * sigma, contact), np.where(finite, mean + _SIGMAS * sigma, np.inf)
 
 
 @of_atoms
@@ -271,8 +271,8 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     bonded = residue[ends[is_c[ends[:, 0]] & is_n[ends[:, 1]]]]
     number = np.array([_as_number(text) for text in structure.residue_number.tolist()])
     follows = (structure.residue_chain[1:] == structure.residue_chain[:-1]) & (np.diff(number) == 1)
-    here = np.flatnonzero(follows & (kind[1:] >= 0) & (kind[:-1] >= 0))
-    pairs = np.unique(np.vstack([bonded, np.column_stack([here, here + 1])]), axis=0)
+    first = np.flatnonzero(follows & (kind[1:] >= 0) & (kind[:-1] >= 0))
+    pairs = np.unique(np.vstack([bonded, np.column_stack([first, first + 1])]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     joints = np.column_stack([at[pairs[:, 0]][:, [_CA, _C]], at[pairs[:, 1]][:, [_N, _CA]]])
     complete = (joints >= 0).all(axis=1)

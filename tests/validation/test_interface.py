@@ -23,7 +23,7 @@ import protochain as pc
 from protochain.structure.formats.confidences import Confidence, read_scores
 from protochain.structure.select import select, sides, touching_chains
 from protochain.validation import CONFIDENCES, MAKEUP, SCORES
-from protochain.validation.interface import _unsatisfied
+from protochain.validation.interface import _unsatisfied_atoms
 from protochain.validation.packing import packing
 
 MODEL, BESIDE = "6bj9_model_0.cif.gz", "confidence_6bj9_model_0.json"
@@ -209,7 +209,7 @@ def test_what_the_sides_are_made_of_is_counted():
 def test_nitrogens_of_proline_are_satisfied_without_a_bond():
     """Between residues; at the start of a chain the nitrogen has hydrogens to give."""
     s = pc.from_sequence("PAPA")
-    buried = _unsatisfied(s, np.zeros(s.n_atoms), np.full(s.n_atoms, 50.0), np.empty((0, 3), int))
+    buried = _unsatisfied_atoms(s, np.zeros(s.n_atoms), np.full(s.n_atoms, 50.0), np.empty((0, 3), int))
     found = {(int(s.atom_residue[k]), str(s.atom_name[k])) for k in buried}
     polar = {(r, name) for r in range(4) for name in ("N", "O")} | {(3, "OXT")}
     assert found == polar - {(2, "N")}
