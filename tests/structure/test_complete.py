@@ -243,11 +243,11 @@ def test_a_backbone_on_one_line_is_refused_where_something_is_built(aside, flat)
 def test_atoms_that_leave_no_place_for_others_are_refused():
     draft, one = Draft("x", "x"), serines()[0]
     wrong = Site(one, -1, None, None)
-    module._check_hand(draft, wrong, {"OG", "O"})
-    module._check_hand(draft, Site(one, 1, None, None), {"CA", "CB"})
+    module._check_chirality(draft, wrong, {"OG", "O"})
+    module._check_chirality(draft, Site(one, 1, None, None), {"CA", "CB"})
     for name in ("CA", "CB", "N", "C"):
         with pytest.raises(pc.ProtochainError, match=r"A:SER5: .* missing at CA"):
-            module._check_hand(draft, wrong, {name, "OG"})
+            module._check_chirality(draft, wrong, {name, "OG"})
 
 
 def test_the_oxygen_of_a_peptide_bond_halves_the_angle_outside():
@@ -255,19 +255,19 @@ def test_the_oxygen_of_a_peptide_bond_halves_the_angle_outside():
     after = bare(2, N=(0, -1.33, 0), CA=(1, -2, 0), C=(2, -2, 0))
     wanted = pytest.approx(np.array([1.0, 1.0, 0.0]) * 1.23 / np.sqrt(2.0), abs=1e-9)
     draft = Draft("x", "x", [Part("A", [one, after])])
-    assert module._oxygen(draft, draft.parts[0], 0) == wanted
+    assert module._carbonyl_oxygen(draft, draft.parts[0], 0) == wanted
     ring = Part("A", [after, one], cyclic=True)
-    assert module._oxygen(Draft("x", "x", [ring]), ring, 1) == wanted
+    assert module._carbonyl_oxygen(Draft("x", "x", [ring]), ring, 1) == wanted
     end = bare(1, N=(-2, 1.4, 0), CA=(-1.5, 0, 0), C=(0, 0, 0), OXT=(0, -1.25, 0))
     alone = Part("A", [end])
-    assert module._oxygen(Draft("x", "x", [alone]), alone, 0) == wanted
+    assert module._carbonyl_oxygen(Draft("x", "x", [alone]), alone, 0) == wanted
 
 
 def test_the_oxygens_of_an_end_have_room():
     one = bare(1, N=(-2, 1.4, 0), CA=(-1.5, 0, 0), C=(0, 0, 0))
     part = Part("A", [one])
     draft = Draft("x", "x", [part])
-    free = module._oxygen(draft, part, 0)
+    free = module._carbonyl_oxygen(draft, part, 0)
     # As far from N as the other oxygen: at right angles to the plane of N, CA and C.
     slope = np.radians(120.4 - 90.0)
     assert free == pytest.approx(1.23 * np.array([np.sin(slope), 0.0, np.cos(slope)]), abs=1e-6)
@@ -275,7 +275,7 @@ def test_the_oxygens_of_an_end_have_room():
     for element, moves in (("C", True), ("H", False)):
         other = Member("LIG", "9", "", "B", [atom("X", element, (1.5 * free).tolist())])
         draft = Draft("x", "x", [part, Part("B", [other], evidence=Evidence.ELEMENTS)])
-        found = module._oxygen(draft, part, 0)
+        found = module._carbonyl_oxygen(draft, part, 0)
         assert bool(np.linalg.norm(found - free) > 0.5) is moves
         opposite = found * [1.0, -1.0, -1.0]
         rooms = [np.linalg.norm(x - 1.5 * free) for x in (found, opposite)]

@@ -1,4 +1,4 @@
-"""Missing heavy atoms: of the backbone between its neighbours, of side chains on rotamers."""
+"""Missing heavy atoms: the backbone is built between its neighbours, side chains on rotamers."""
 
 from collections.abc import Generator, Sequence
 
@@ -17,12 +17,11 @@ from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed
 from protochain.structure.sidechains.sites import Site
 
 _ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
-"""Oxygens at the ends of chains: the atom that each is bonded to, its other neighbours, and the length of
-the bond, angstrom, in ff14SB and OL15."""
+"""Terminal oxygens: bonded atom, its other neighbours, and bond length (angstrom) in ff14SB and OL15."""
 _CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
 """Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
 _FLAT = 0.1
-"""Angstrom^2: area of N-CA-C below which they are on one line."""
+"""Angstrom^2: N, CA and C are collinear if the cross product of their bonds is smaller."""
 _DECIMALS = 4
 """Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
 _BONDS = {
@@ -34,19 +33,19 @@ _ACROSS = {
     ("CA-", "N"): 2.43, ("O-", "N"): 2.25, ("C-", "CA"): 2.43, ("N", "C"): 2.46, ("N", "CB"): 2.46,
     ("C", "CB"): 2.50, ("CA", "O"): 2.40, ("CA", "N+"): 2.43, ("O", "N+"): 2.25, ("C", "CA+"): 2.43,
 }  # fmt: skip
-"""Angstrom: the same across an angle."""
+"""Angstrom: distances across an angle, from the same source."""
 _TRANS = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
-"""Angstrom: across a peptide bond; a cis one has 2.9, and is told from it by the other distances alone."""
+"""Angstrom: across a trans peptide bond (cis: 2.9). For one missing atom the other distances suffice."""
 _OFF = 0.25
-"""Angstrom by which a bond of a rebuilt atom may be off."""
+"""Angstrom: largest deviation of a bond of a rebuilt atom."""
 _STARTS = 8
 
 
 def add_heavy_atoms(draft: Draft) -> Changes:
-    """Rename atoms to their PDB names, and add missing heavy atoms: side chains ideal, on rotamers."""
+    """Rename atoms to their PDB names, and build missing heavy atoms. Side chains are ideal rotamers."""
     renamed: list[Renamed] = []
     open_ended: list[Member] = []
-    lacking: list[tuple[Part, int, list[str]]] = []
+    incomplete: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
         for i, member in enumerate(part.members):
             template = part.template(draft.templates, i)
@@ -60,8 +59,8 @@ def add_heavy_atoms(draft: Draft) -> Changes:
                 for before, after in rename(member.atoms, template)
             ]
             yield from _check_heavy_atoms(draft, member, template)
-            there = {each.name for each in member.atoms}
-            missing = [name for name in template.heavy if name not in there]
+            atom_names = {a.name for a in member.atoms}
+            missing = [name for name in template.heavy if name not in atom_names]
             if "OXT" in missing:
                 missing.remove("OXT")
                 open_ended.append(member)
@@ -71,21 +70,21 @@ def add_heavy_atoms(draft: Draft) -> Changes:
                     yield Repair.of(Kind.ATOMS_ADDED, residue=member.residue, atoms=("OP3",))
                     member.atoms.insert(1, _terminal_oxygen(draft, member, "OP3"))
             if missing:
-                lacking.append((part, i, missing))
+                incomplete.append((part, i, missing))
     if renamed:
         yield Repair.of(Kind.ATOMS_RENAMED, changes=tuple(renamed))
-    of_chains = [m for part in draft.parts if not part.obstacle for m in part.members]
-    # Those with a source of their own are told by it; a D-amino acid's may be of its mirror image.
-    if inverted := inverted_atoms([m for m in of_chains if m.template is None or m.is_d]):
+    chain_members = [m for part in draft.parts if not part.obstacle for m in part.members]
+    # Residues with their own template are checked there. A D-amino acid's may be its mirror image's.
+    if inverted := inverted_atoms([m for m in chain_members if m.template is None or m.is_d]):
         yield Repair.of(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
-    yield from _rebuild(draft, lacking)
+    yield from _rebuild(draft, incomplete)
     for member in open_ended:
         yield Repair.of(Kind.OXT_ADDED, residue=member.residue)
         member.atoms.append(_terminal_oxygen(draft, member, "OXT"))
 
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Changes:
-    """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
+    """Remove a terminal oxygen within a chain. Refuse other heavy atoms that the template lacks."""
     strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
     if strange:
         raise StructureError(
@@ -94,29 +93,29 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Chan
         )
     inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
     if inner:
-        gone = losses(member, inner, Why.INNER)
-        yield Repair.of(Kind.INNER_OXT, gone, residue=member.residue)
+        lost = losses(member, inner, Why.INNER)
+        yield Repair.of(Kind.INNER_OXT, lost, residue=member.residue)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 
 def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
-    """Build the last oxygen of a carboxylate, or of a 5' phosphate, opposite to the other neighbours."""
-    centre, others, distance = _ENDS[name]
-    at, *near = (np.array(a.pos.tolist()) for each in (centre, *others) if (a := member.atom(each)))
+    """Build the last oxygen of a carboxylate or a 5' phosphate, opposite to the other neighbours."""
+    centre, neighbours, distance = _ENDS[name]
+    at, *near = (np.array(a.pos.tolist()) for label in (centre, *neighbours) if (a := member.atom(label)))
     arms = np.array(near) - at
     away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(away)
     if not 1e-3 < length < len(arms) - 1e-3:
         raise StructureError(
-            f"{draft.source}: {member}: no place for {name} beside {', '.join(others)}; "
+            f"{draft.source}: {member}: no place for {name} beside {', '.join(neighbours)}; "
             "correct the coordinates"
         )
     return atom(name, "O", (at + distance * away / length).tolist(), member.atoms[0].b_iso)
 
 
-def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> Changes:
-    """Build missing heavy atoms: oxygens of the backbone, then side chains, all at once."""
-    for part, i, missing in lacking:
+def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Changes:
+    """Build missing heavy atoms: oxygens of the backbone, then all side chains together."""
+    for part, i, missing in incomplete:
         member = part.members[i]
         if member.name not in residues.STANDARD:
             raise StructureError(
@@ -124,37 +123,37 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> Change
             )
         _check_backbone(draft, member)
         yield Repair.of(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
-    for part, i, missing in lacking:
+    for part, i, missing in incomplete:
         if "O" in missing:
-            _add(part.members[i], {"O": _oxygen(draft, part, i)})
+            _add(part.members[i], {"O": _carbonyl_oxygen(draft, part, i)})
     sites: list[tuple[Site, set[str]]] = []
-    for part, i, missing in lacking:
+    for part, i, missing in incomplete:
         if missing != ["O"]:
             sites.append(((yield from _site(part, i)), set(missing)))
     for site, _ in sites:
-        between = bridged(site.member.name, site.known)
-        _add(site.member, {name: site.sign * x for name, x in between.items()})
+        places = bridged(site.member.name, site.known)
+        _add(site.member, {name: site.sign * x for name, x in places.items()})
     open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
     if open_ended:
         yield from _pack(draft, open_ended)
     for site, added in sites:
-        _check_hand(draft, site, added)
+        _check_chirality(draft, site, added)
 
 
 def _pack(draft: Draft, sites: list[Site]) -> Changes:
-    """Put side chains into the best of their rotamers."""
-    # Imported here: reading a whole structure need not wait for its kernels.
+    """Build side chains on their best rotamers."""
+    # Imported here because complete structures do not need its kernels.
     from protochain.structure.sidechains.packing import packed
 
-    found = packed(draft.members, sites)
-    if not found.is_proven:
+    packing = packed(draft.members, sites)
+    if not packing.is_proven:
         yield Repair.of(Kind.NOT_PROVEN)
-    for site, places in zip(sites, found.places, strict=True):
+    for site, places in zip(sites, packing.places, strict=True):
         _add(site.member, places)
 
 
 def _site(part: Part, i: int) -> Generator[Repair, None, Site]:
-    """The residue and its neighbours, of the configuration that its CB has or that its name says."""
+    """Return a residue with its neighbours. CB, or else the name, determines the configuration."""
     member = part.members[i]
     sign = handedness(member) or (-1 if member.is_d else 1)
     if not handedness(member) and not member.is_d and _is_misnamed(part, i):
@@ -164,7 +163,7 @@ def _site(part: Part, i: int) -> Generator[Repair, None, Site]:
 
 
 def _is_misnamed(part: Part, i: int) -> bool:
-    """Whether a residue of positive phi is in a chain where most such residues are D under names of L."""
+    """Whether phi is positive, and most such residues of the chain are D-amino acids with L names."""
     if _phi(part, i) <= 0.0:
         return False
     named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
@@ -172,21 +171,21 @@ def _is_misnamed(part: Part, i: int) -> bool:
 
 
 def _phi(part: Part, i: int) -> float:
-    """Dihedral phi, rad; zero where there is none."""
+    """Return the dihedral phi (rad), or zero if an atom is missing."""
     before, _ = part.around(i)
     atoms = [
         before.atom("C") if before else None,
         *(part.members[i].atom(name) for name in residues.BACKBONE),
     ]
-    places = [np.array(a.pos.tolist()) for a in atoms if a is not None]
-    return float(dihedral(*places)) if len(places) == 4 else 0.0
+    positions = [np.array(a.pos.tolist()) for a in atoms if a is not None]
+    return float(dihedral(*positions)) if len(positions) == 4 else 0.0
 
 
 def _check_backbone(draft: Draft, member: Member) -> None:
-    """Refuse a backbone from which nothing can be built."""
+    """Refuse a backbone with missing or collinear atoms."""
     places = {a.name: np.array(a.pos.tolist()) for a in member.atoms if a.name in residues.BACKBONE}
     for name in residues.BACKBONE:
-        if name not in places:  # As after its conversion to a parent, which has no such element there.
+        if name not in places:  # Conversion to a parent can remove an atom of another element.
             raise StructureError(
                 f"{draft.source}: {member}: atom {name} missing; build it, or remove the residue"
             )
@@ -195,8 +194,8 @@ def _check_backbone(draft: Draft, member: Member) -> None:
         raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 
 
-def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
-    """Refuse atoms of the file between which none of the right configuration fits."""
+def _check_chirality(draft: Draft, site: Site, added: set[str]) -> None:
+    """Refuse atoms of the file that give built atoms the wrong chirality."""
     member = site.member
     for centre, neighbours in centres(member.name).items():
         if added & {centre, *neighbours} and handedness(member, centre) == -site.sign:
@@ -207,46 +206,46 @@ def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
 
 
 def _add(member: Member, places: Places) -> None:
-    """Add atoms; hydrogens at the atoms that get a neighbour are placed anew."""
+    """Add atoms, and remove the hydrogens of the atoms that get a neighbour."""
     bonds = ideal(member.name).bonds
-    parents = {other for name in places for other in bonds[name]}
+    parents = {neighbour for name in places for neighbour in bonds[name]}
     heavy = [np.array(a.pos.tolist()) for a in member.heavy]
     names = [a.name for a in member.heavy]
-    kept = []
+    atoms = []
     for a in member.atoms:
         if a.is_hydrogen():
-            apart = np.linalg.norm(np.array(heavy) - a.pos.tolist(), axis=1)
-            if names[int(np.argmin(apart))] in parents - {"N", "C"}:
+            distances = np.linalg.norm(np.array(heavy) - a.pos.tolist(), axis=1)
+            if names[int(np.argmin(distances))] in parents - {"N", "C"}:
                 continue
-        kept.append(a)
+        atoms.append(a)
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
-    kept += [atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()]
+    atoms += [atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()]
     order = {name: k for k, name in enumerate(member.order)}
-    member.atoms = sorted(kept, key=lambda a: order.get(a.name, len(order)))
+    member.atoms = sorted(atoms, key=lambda a: order.get(a.name, len(order)))
 
 
-def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
-    """(3,) float, angstrom: oxygen in the plane of a peptide bond, or where a C terminus has room for it."""
+def _carbonyl_oxygen(draft: Draft, part: Part, i: int) -> Floats:
+    """Return the position (3,), angstrom, of O: in the peptide plane, or in free space at a C terminus."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     _, after = part.around(i)
-    beyond = after.atom("N") if after else member.atom("OXT")
-    if beyond is not None:
-        arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])
+    opposite = after.atom("N") if after else member.atom("OXT")
+    if opposite is not None:
+        arms = unit(at["CA"] - at["C"]) + unit(np.array(opposite.pos.tolist()) - at["C"])
         return at["C"] - _CARBONYL * unit(arms)
     turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     places = placed(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
-    others = np.array(
+    other_atoms = np.array(
         [a.pos.tolist() for m in draft.members for a in m.atoms if m is not member and not a.is_hydrogen()]
         + [at["N"].tolist()]
     )
-    room = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
+    room = np.linalg.norm(places[:, None] - other_atoms, axis=-1).min(axis=1)
     # The other oxygen of the carboxylate will be opposite.
     return places[int(np.argmax(np.round(np.minimum(room, np.roll(room, len(turns) // 2)), 4)))]
 
 
 def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
-    """Build the atoms of the backbone that residue i lacks, where its neighbours say where they are."""
+    """Build the backbone atoms that residue i lacks, if its neighbours determine them. Return their names."""
     member = run[i]
     missing = tuple(name for name in residues.BACKBONE if not member.atom(name))
     if not missing or member.is_cap:
@@ -255,40 +254,40 @@ def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
     for step, mark in ((-1, "-"), (1, "+")):
         if 0 <= i + step < len(run):
             at |= {a.name + mark: np.array(a.pos.tolist()) for a in run[i + step].atoms}
-    found = _built(missing, at)
-    if found is None:
+    positions = _solve_positions(missing, at)
+    if positions is None:
         return ()
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
-    for name, x in zip(missing, found, strict=True):
+    for name, x in zip(missing, positions, strict=True):
         member.atoms.insert(
             residues.BACKBONE.index(name), atom(name, name[0], np.round(x, 4).tolist(), b_iso)
         )
     return missing
 
 
-def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
-    """Places (n, 3) of atoms at the usual distances from others; None if no bond may be so long or short."""
+def _solve_positions(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
+    """Return positions (n, 3) at the usual distances from other atoms, or None if bonds deviate too much."""
     ends = {"N": ("C-", "CA-"), "CA": (), "C": ("N+", "CA+")}
     if not {end for name in missing for end in ends[name]} <= at.keys():
         return None
     usual = _BONDS | _ACROSS | (_TRANS if len(missing) > 1 else {})
     pairs = [(pair, d) for pair, d in usual.items() if {*pair} & {*missing} and {*pair} <= {*missing, *at}]
-    if len(pairs) <= 3 * len(missing):  # Places are not determined.
+    if len(pairs) <= 3 * len(missing):  # Positions are not determined.
         return None
     weight = np.array([1.0 if pair in _BONDS else 0.5 for pair, _ in pairs])
 
     from scipy.optimize import least_squares
 
-    def off(x: Floats) -> Floats:
-        there = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
-        return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
+    def deviations(x: Floats) -> Floats:
+        positions = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
+        return np.array([np.linalg.norm(positions[a] - positions[b]) - d for (a, b), d in pairs])
 
-    def weighted(x: Floats) -> Floats:
-        return np.asarray(weight * off(x))
+    def residuals(x: Floats) -> Floats:
+        return np.asarray(weight * deviations(x))
 
     near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
     starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
-    found = [least_squares(weighted, each.ravel()) for each in starts]
-    best = min(found, key=lambda each: float(each.cost))
-    bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
+    fits = [least_squares(residuals, start.ravel()) for start in starts]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    bonds = [abs(error) for error, (pair, _) in zip(deviations(best.x), pairs, strict=True) if pair in _BONDS]
     return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None

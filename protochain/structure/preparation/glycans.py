@@ -1,6 +1,6 @@
-"""Glycans that move: sugars linked to Asn, Ser, Thr and to one another, with the parameters of GLYCAM-06j.
+"""Mobile glycans: sugars linked to Asn, Ser, Thr and one another, with the parameters of GLYCAM-06j.
 
-A glycan of which any sugar or link is unknown has its own chemistry, as other molecules.
+A glycan with an unknown sugar or link is parametrised like any other molecule.
 """
 
 import re
@@ -35,64 +35,67 @@ from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, S
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
-"""Atoms of the protein that bear sugars."""
+"""Protein atoms that bear sugars."""
 _FREE = "-ROH"
-"""What the code of a sugar at a free reducing end has in addition."""
+"""Suffix of the code of a sugar at a free reducing end."""
 _REACH = 2.0
-"""Angstrom: no bond that is looked for is longer."""
-
+"""Angstrom: search radius of bonds."""
 _CLEAR = 0.1
-"""Angstrom by which the length of a bond may be off if the hydroxyl that it takes the place of is there."""
+"""Angstrom: largest deviation of a bond's length if the hydroxyl that the bond replaces is present."""
 
-_Owned = tuple[Member, gemmi.Atom]
+_OwnedAtom = tuple[Member, gemmi.Atom]
 
 
-def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> Changes:
-    """Let glycans move whose sugars and links GLYCAM-06j knows; links of others are as if stated."""
-    sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
+def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], has_glycam: bool) -> Changes:
+    """Make glycans mobile if GLYCAM-06j has their sugars and links. Sugars with these names are skipped."""
+    sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*names}]
     if not sugars:
         return
-    near = _Surroundings(draft, parts, sugars)
-    place = {id(part.members[0]): k for k, part in enumerate(sugars)}
-    links = [link for part in sugars if (link := near.link(part.members[0])) is not None]
+    surroundings = _Surroundings(draft, parts, sugars)
+    row = {id(part.members[0]): k for k, part in enumerate(sugars)}
+    links = [link for part in sugars if (link := surroundings.link(part.members[0])) is not None]
     for link in links:
-        yield from _without_hydroxyl(link)
-    pairs = [(place[id(a)], place[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in place]
+        yield from _remove_hydroxyl(link)
+    pairs = [(row[id(a)], row[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in row]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
     for g in range(group.max() + 1):
-        mine = [part for part, its in zip(sugars, group, strict=True) if its == g]
-        own = [link for link in links if any(link.other is part.members[0] for part in mine)]
-        if not own:
+        glycan = [part for part, index in zip(sugars, group, strict=True) if index == g]
+        bonds = [link for link in links if any(link.other is part.members[0] for part in glycan)]
+        if not bonds:
             continue
-        codes = {id(part.members[0]): _code(part.members[0], own) for part in mine}
-        why = next(near.refusals([part.members[0] for part in mine], own, codes), "")
-        why = why if has_glycam else f"GLYCAM-06j goes with {HAS_GLYCAM} only"
-        if why:
-            # Those found by their geometry are as if the file stated them.
-            draft.stated += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
+        codes = {id(part.members[0]): _sugar_code(part.members[0], bonds) for part in glycan}
+        refusal = next(surroundings.refusals([part.members[0] for part in glycan], bonds, codes), "")
+        refusal = refusal if has_glycam else f"GLYCAM-06j goes with {HAS_GLYCAM} only"
+        if refusal:
+            # Bonds found by geometry count as bonds that the file states.
+            draft.stated += [
+                (x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in bonds
+            ]
             continue
-        draft.glycosidic += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
-        facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
-        root = next((link for link in own if id(link.member) not in place), None)
+        draft.glycosidic += [
+            (x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in bonds
+        ]
+        facts: dict[str, Any] = {"count": len(glycan), "codes": (*dict.fromkeys(codes.values()),)}
+        root = next((link for link in bonds if id(link.member) not in row), None)
         if root is not None:
             yield Repair.of(Kind.GLYCAN, atoms=root.atoms, **facts)
         else:
-            yield Repair.of(Kind.SACCHARIDE, residue=mine[0].members[0].residue, **facts)
-        for part in mine:
+            yield Repair.of(Kind.SACCHARIDE, residue=glycan[0].members[0].residue, **facts)
+        for part in glycan:
             (member,) = part.members
             part.glycam_code, part.evidence = codes[id(member)], Evidence.SUGARS
             member.source = _template(member, part.glycam_code)
             letters = letters_of(part.glycam_code)
             if letters != SUGARS[member.name]:
                 yield Repair.of(Kind.OTHER_ANOMER, residue=member.residue)
-            if wrong := (*_inverted(member, letters, own),):
-                yield Repair.of(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
+            if inverted := (*_inverted_atoms(member, letters, bonds),):
+                yield Repair.of(Kind.SUGAR_INVERTED, residue=member.residue, atoms=inverted)
 
 
-def _code(member: Member, links: Sequence[Link]) -> str:
-    """Code of a sugar with these bonds; of two anomers, that which its atoms are."""
+def _sugar_code(member: Member, links: Sequence[Link]) -> str:
+    """Return the GLYCAM code of a sugar with these bonds. Its atoms determine the anomer."""
     letters = SUGARS[member.name]
-    if anomeric_carbon(member.name) in _inverted(member, letters, links):
+    if anomeric_carbon(member.name) in _inverted_atoms(member, letters, links):
         letters = other_anomer(letters)
     bearing = [link.atom for link in links if link.member is member]
     is_linked = any(link.other is member for link in links)
@@ -102,40 +105,40 @@ def _code(member: Member, links: Sequence[Link]) -> str:
 
 
 def _hydroxyl(member: Member) -> gemmi.Atom | None:
-    """Oxygen at the anomeric carbon, which a sugar has that no other residue bears."""
+    """Return the oxygen at the anomeric carbon, which only a sugar without an acceptor residue has."""
     return member.atom("O" + anomeric_carbon(member.name)[1:])
 
 
-def _without_hydroxyl(link: Link) -> Changes:
-    """Take away the oxygen at an anomeric carbon that another bond takes the place of."""
+def _remove_hydroxyl(link: Link) -> Changes:
+    """Remove the oxygen at an anomeric carbon if another bond replaces it."""
     sugar, oxygen = link.other, _hydroxyl(link.other)
     if oxygen is not None:
         lost = losses(sugar, [oxygen], Why.BONDED)
         sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
-        gone = (f"{oxygen.name} of {sugar.name}",)
-        yield Repair.of(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
+        removed = (f"{oxygen.name} of {sugar.name}",)
+        yield Repair.of(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=removed)
 
 
-def _inverted(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
-    """Name the chiral atoms of a sugar whose configuration is not that of its letters."""
+def _inverted_atoms(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
+    """Yield the chiral atoms of a sugar whose configuration contradicts its letters."""
     acceptor = next((link.atom for link in links if link.other is member), _hydroxyl(member))
     for centre, ends in sugar_centres(letters).items():
-        # The anomeric hydrogen may have no place yet; the link is on the other side.
-        places = [acceptor if name == "H1" else member.atom(name) for name in (centre, *ends)]
-        x = np.array([a.pos.tolist() for a in places if a is not None])
+        # The anomeric hydrogen may have no position yet. The link is on the opposite side.
+        atoms = [acceptor if name == "H1" else member.atom(name) for name in (centre, *ends)]
+        x = np.array([a.pos.tolist() for a in atoms if a is not None])
         if len(x) == 4 and (-1.0 if "H1" in ends else 1.0) * volume(x) < 0.0:
             yield centre
 
 
 class _Surroundings:
-    """Atoms that sugars may be bonded to, and the bonds that the file states."""
+    """Atoms that may be bonded to sugars, and the bonds that the file states."""
 
     def __init__(self, draft: Draft, parts: Sequence[Part], sugars: Sequence[Part]) -> None:
         self.sugars = {id(part.members[0]) for part in sugars}
         protein = [part for part in draft.parts if not part.obstacle]
         self.protein = {id(m) for part in protein for m in part.members}
-        self.known = self.protein | self.sugars
-        self.heavy: list[_Owned] = [
+        self.residues = self.protein | self.sugars
+        self.heavy: list[_OwnedAtom] = [
             (m, a)
             for part in (*protein, *parts) for m in part.members if m.name != "HOH"
             for a in m.heavy
@@ -148,35 +151,35 @@ class _Surroundings:
                 self.stated.setdefault(first, []).append(second)
                 self.stated.setdefault(second, []).append(first)
 
-    def bonds_stated(self, member: Member, atom: gemmi.Atom) -> list[_Owned]:
-        """Atoms of other residues, metals left out, to which the file states a bond."""
-        ends = (self.at.get(each) for each in self.stated.get(member.address(atom.name), ()))
+    def stated_partners(self, member: Member, atom: gemmi.Atom) -> list[_OwnedAtom]:
+        """Return the atoms of other residues, except metals, to which the file states a bond."""
+        ends = (self.at.get(address) for address in self.stated.get(member.address(atom.name), ()))
         return [end for end in ends if end is not None and not is_metal(end[1].element.name)]
 
     def link(self, sugar: Member) -> Link | None:
-        """Bond of the anomeric carbon of a sugar, stated or else found by its length and angles."""
+        """Return the bond of a sugar's anomeric carbon: stated, or else found by length and angles."""
         carbon = sugar.atom(anomeric_carbon(sugar.name))
         if carbon is None:
             return None
-        stated = self.bonds_stated(sugar, carbon)
+        stated = self.stated_partners(sugar, carbon)
         if stated:
             return Link(*stated[0], sugar, carbon, stated=True)
         hydroxyl = _hydroxyl(sugar)
-        inner = [a for a in _inner(sugar, carbon) if a is not hydroxyl]
+        inner = [a for a in _bonded_atoms(sugar, carbon) if a is not hydroxyl]
         if len([a for a in inner if a.element.name == "O"]) > 1:
             return None
-        found = [
+        candidates = [
             link
             for link in self._pairs(sugar, carbon)
             if self._bears(link.member, link.atom)
             and (hydroxyl is None or abs(link.excess) <= _CLEAR)
-            and is_usual(_inner(link.member, link.atom), link.atom, carbon)
+            and is_usual(_bonded_atoms(link.member, link.atom), link.atom, carbon)
             and is_usual(inner, carbon, link.atom)
         ]
-        return min(found, key=lambda link: abs(link.excess), default=None)
+        return min(candidates, key=lambda link: abs(link.excess), default=None)
 
     def _pairs(self, member: Member, atom: gemmi.Atom) -> list[Link]:
-        """Atoms of other residues as near as bonded ones, metals left out."""
+        """Return links to the atoms of other residues at bond distance, except metals."""
         near = (self.heavy[k] for k in sorted(self.tree.query_ball_point(atom.pos.tolist(), _REACH)))
         links = (Link(m, a, member, atom) for m, a in near if m is not member)
         return [x for x in links if not is_metal(x.atom.element.name) and abs(x.excess) <= COVALENT_SLACK]
@@ -190,9 +193,9 @@ class _Surroundings:
     def refusals(
         self, members: Sequence[Member], links: Sequence[Link], codes: Mapping[int, str]
     ) -> Iterator[str]:
-        """Why a glycan cannot have the parameters of GLYCAM-06j."""
+        """Yield the reasons why GLYCAM-06j cannot parametrise a glycan."""
         borne = Counter(id(link.atom) for link in links)
-        known = {frozenset((id(link.atom), id(link.other_atom))) for link in links}
+        modelled = {frozenset((id(link.atom), id(link.other_atom))) for link in links}
         for link in links:
             first, second = link.atoms
             if not self._bears(link.member, link.atom) or borne[id(link.atom)] > 1:
@@ -206,25 +209,25 @@ class _Surroundings:
             if code.removesuffix(_FREE) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
-            there = {a.name for a in member.heavy}
-            if strange := there ^ {*_template(member, code).heavy}:
+            heavy_names = {a.name for a in member.heavy}
+            if strange := heavy_names ^ {*_template(member, code).heavy}:
                 yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
             for atom in member.heavy:
-                joined = [*self.bonds_stated(member, atom)]
+                partners = [*self.stated_partners(member, atom)]
                 if atom.element.name in ("O", "N"):
-                    # What is known to be no substituent of a sugar overlaps with it.
-                    near = (x for x in self._pairs(member, atom) if id(x.member) not in self.known)
-                    joined += [(x.member, x.atom) for x in near]
-                for other, its in joined:
-                    if frozenset((id(atom), id(its))) not in known:
+                    # Protein residues and sugars at bond distance overlap, and are not substituents.
+                    neighbours = (x for x in self._pairs(member, atom) if id(x.member) not in self.residues)
+                    partners += [(x.member, x.atom) for x in neighbours]
+                for partner, partner_atom in partners:
+                    if frozenset((id(atom), id(partner_atom))) not in modelled:
                         yield (
                             f"GLYCAM-06j has no bond of {Atom(atom.name, member.residue)} to "
-                            f"{Atom(its.name, other.residue)}"
+                            f"{Atom(partner_atom.name, partner.residue)}"
                         )
 
 
-def _inner(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
-    """Heavy atoms of a residue that are as near to one of it as bonded atoms."""
+def _bonded_atoms(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
+    """Return the heavy atoms of a residue at bond distance from one of its atoms."""
     return [
         a
         for a in member.atoms
@@ -234,7 +237,7 @@ def _inner(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
 
 @cache
 def _residues() -> Mapping[str, str]:
-    """Residues of GLYCAM's file, by their codes, as text."""
+    """Return the text of each residue of GLYCAM's file, by code."""
     return {name: text for text, name in _RESIDUE.findall(GLYCAM.read_text())}
 
 
@@ -243,19 +246,19 @@ _RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
 
 @cache
 def parameters(codes: frozenset[str]) -> bytes:
-    """GLYCAM's file with these residues only: all take a second to read, and would replace hydroxyproline."""
-    wanted = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
-    text = _RESIDUE.sub(lambda found: found[1] if found[2] in wanted else "", GLYCAM.read_text())
-    free = "".join(_text(code) for code in sorted(codes) if _FREE in code)
+    """Return GLYCAM's file with these residues only. All residues are slow, and replace hydroxyproline."""
+    names = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
+    text = _RESIDUE.sub(lambda match: match[1] if match[2] in names else "", GLYCAM.read_text())
+    free = "".join(_residue_text(code) for code in sorted(codes) if _FREE in code)
     return text.replace("</Residues>", f"{free}</Residues>", 1).encode()
 
 
-def _text(code: str) -> str:
-    """Text of a residue; at a reducing end with the hydroxyl, which GLYCAM has as a residue of its own."""
+def _residue_text(code: str) -> str:
+    """Return the text of a residue. A reducing end includes the hydroxyl, a separate GLYCAM residue."""
     if _FREE not in code:
         return _residues()[code]
     node, hydroxyl = (ElementTree.fromstring(_residues()[name]) for name in code.split("-"))
-    (end,) = (each for each in node.iterfind("ExternalBond") if each.get("atomName", "")[0] == "C")
+    (end,) = (bond for bond in node.iterfind("ExternalBond") if bond.get("atomName", "")[0] == "C")
     node.remove(end)
     node.extend([*hydroxyl.iterfind("Atom"), *hydroxyl.iterfind("Bond")])
     ElementTree.SubElement(node, "Bond", atomName1=end.get("atomName", ""), atomName2="O1")
@@ -264,23 +267,23 @@ def _text(code: str) -> str:
 
 
 def _template(member: Member, code: str) -> Template:
-    """Template of a sugar under the names of the PDB archive: HO4 is at O4, H61 and H62 are at C6."""
-    node = ElementTree.fromstring(_text(code))
-    given = {str(a.get("name")): float(a.get("charge", 0.0)) for a in node.iterfind("Atom")}
+    """Return the template of a sugar with names of the PDB archive: HO4 is at O4, H61 and H62 are at C6."""
+    node = ElementTree.fromstring(_residue_text(code))
+    charges = {str(a.get("name")): float(a.get("charge", 0.0)) for a in node.iterfind("Atom")}
     ends = [(str(bond.get("atomName1")), str(bond.get("atomName2"))) for bond in node.iterfind("Bond")]
-    called = {glycam: name for name, glycam in glycam_names(member.name).items()}
-    called = {name: called.get(name, name) for name in given}
+    pdb_name = {glycam: name for name, glycam in glycam_names(member.name).items()}
+    pdb_name = {name: pdb_name.get(name, name) for name in charges}
     if _FREE in code:
-        called["O1"] = "O" + anomeric_carbon(member.name)[1:]
-    for parent in (name for name in given if name[0] != "H"):
-        light = [end for bond in ends if parent in bond for end in bond if end[0] == "H"]
-        stem = "H" + called[parent].removeprefix("C")
-        for k, name in enumerate(sorted(light), 1):
-            called[name] = f"{stem}{k}" if len(light) > 1 else stem
+        pdb_name["O1"] = "O" + anomeric_carbon(member.name)[1:]
+    for parent in (name for name in charges if name[0] != "H"):
+        hydrogens = [end for bond in ends if parent in bond for end in bond if end[0] == "H"]
+        stem = "H" + pdb_name[parent].removeprefix("C")
+        for k, name in enumerate(sorted(hydrogens), 1):
+            pdb_name[name] = f"{stem}{k}" if len(hydrogens) > 1 else stem
     return Template(
         member.name,
-        {called[name]: name[0] for name in given},
-        {called[name]: charge for name, charge in given.items()},
-        tuple((called[a], called[b]) for a, b in ends),
+        {pdb_name[name]: name[0] for name in charges},
+        {pdb_name[name]: charge for name, charge in charges.items()},
+        tuple((pdb_name[a], pdb_name[b]) for a, b in ends),
         {},
     )

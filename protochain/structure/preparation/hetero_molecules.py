@@ -266,7 +266,7 @@ def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | O
         else:
             parts.append(Part(member.chain_id, [member], Evidence.ELEMENTS))
     if parts:
-        yield from glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
+        yield from glycans.select_glycans(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
     for part in (each for each in parts if not each.glycam_code):
         yield from _trim(part)
     pieces = list[Part]()
