@@ -50,7 +50,7 @@ def simulate(
     """
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder, files_of
-    from protochain.dynamics.simulate_chain import freed
+    from protochain.dynamics.simulate_chain import prepare_chain
     from protochain.dynamics.thermostats import THERMOSTATS
 
     simulation, thermostat = replace(simulation, pull=pulling), THERMOSTATS[simulation.thermostat]
@@ -64,7 +64,7 @@ def simulate(
     context.with_resource(claim_folder(output, "simulation", running.resume))
     chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:
-        freed(chain, simulation)  # What is not there is said before the work.
+        prepare_chain(chain, simulation)  # What is not there is said before the work.
     relax = relax and not running.resume
     troubled = relax and print_outlook(source, chain.structure, METHOD)
     times = (TROUBLED if troubled else 1) if relax else 0

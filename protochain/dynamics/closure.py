@@ -92,14 +92,14 @@ class Closure:
         tree, frames = factors.tree, factors.frames
         rows = self.rows(frames)
         g, loads = row_matrix(tree, frames, rows), row_loads(tree, rows)
-        moved = np.array([solve(factors, row) for row in g])
-        upper, _ = factor_closed(moved @ g.T)
+        responses = np.array([solve(factors, row) for row in g])
+        upper, _ = factor_closed(responses @ g.T)
         mix = solve_triangular(upper, np.eye(len(g)), trans=1)
-        twists = np.array([velocities(tree, frames, u) for u in mix @ moved])
+        twists = np.array([velocities(tree, frames, u) for u in mix @ responses])
         gradient = pull_back(tree, frames, self._turned_lines(frames, np.tensordot(mix, twists, (0, 0))))
-        for each, weights in zip(twists, mix, strict=True):
-            load = np.tensordot(weights, loads, 1) - momenta_of_bodies(tree, frames, each)
-            gradient = gradient + turning_gradient(tree, frames, each, load)
+        for twist, weights in zip(twists, mix, strict=True):
+            load = np.tensordot(weights, loads, 1) - momenta_of_bodies(tree, frames, twist)
+            gradient = gradient + turning_gradient(tree, frames, twist, load)
         return 2.0 * float(np.sum(np.log(np.diagonal(upper)))), 2.0 * gradient
 
     def _turned_lines(self, frames: Frames, twists: Floats) -> Floats:
@@ -110,10 +110,10 @@ class Closure:
         length = np.linalg.norm(line, axis=1)[:, None]
         along = line / length
         arm = ends - frames.origin[self.body]
-        own = twists[np.arange(len(ends))[:, None], self.body]
-        velocity = own[..., 3:] + np.cross(own[..., :3], arm)
-        parting = velocity[:, 1] - velocity[:, 0]
-        across = (parting - along * np.sum(along * parting, axis=1)[:, None]) / length
+        end_twists = twists[np.arange(len(ends))[:, None], self.body]
+        velocity = end_twists[..., 3:] + np.cross(end_twists[..., :3], arm)
+        separation_rate = velocity[:, 1] - velocity[:, 0]
+        across = (separation_rate - along * np.sum(along * separation_rate, axis=1)[:, None]) / length
         out = np.zeros((self.tree.n_bodies, 6))
         for side, sign in ((0, -1.0), (1, 1.0)):
             moment = np.cross(arm[:, side], across) - np.cross(along, velocity[:, side])
@@ -182,8 +182,8 @@ def closure_of(chain: Chain, q: Floats | None = None) -> Closure:
 
     def before(atom: int) -> int | None:
         touching = s.bonds[(s.bonds == atom).any(axis=1)]
-        others = [int(b) for pair in touching.tolist() for b in pair if b != atom]
-        near = [b for b in others if heavy[b] and s.atom_residue[b] == s.atom_residue[atom]]
+        neighbours = [int(b) for pair in touching.tolist() for b in pair if b != atom]
+        near = [b for b in neighbours if heavy[b] and s.atom_residue[b] == s.atom_residue[atom]]
         return near[0] if near else None
 
     pairs = [pair for a, b in chain.loops.tolist() for pair in ((a, b), (before(a), b), (a, before(b)))]

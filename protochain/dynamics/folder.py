@@ -39,16 +39,16 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     """Check the output folder before any work is done."""
     check_trajectory(path / f"trajectory.{suffix}")
     check_writable(path / CHECKPOINT)
-    there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
-    if there and not (resume or force):
-        raise refuse_earlier(path, f"a simulation ({there[0]})")
+    existing = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
+    if existing and not (resume or force):
+        raise refuse_earlier(path, f"a simulation ({existing[0]})")
     if resume and not (path / CHECKPOINT).exists():
         raise ProtochainError(
             f"{path}: holds no {CHECKPOINT} to resume from; leave out ", Argument("resume", True)
         )
 
 
-def _kept(path: Path, settings: Mapping[str, Any]) -> AbstractContextManager[Checkpoint]:
+def _open_checkpoint(path: Path, settings: Mapping[str, Any]) -> AbstractContextManager[Checkpoint]:
     return checkpoint(path / CHECKPOINT, settings, "simulation", *_AGAIN)
 
 
@@ -61,8 +61,8 @@ pull, nm; values of hinges with springs, rad."""
 
 def constants_of(path: Path) -> dict[str, Floats]:
     """What the simulation in a folder measured at its start, by name."""
-    with _kept(path, {}) as kept:
-        return dict(kept.arrays)
+    with _open_checkpoint(path, {}) as contents:
+        return dict(contents.arrays)
 
 
 class Folder:
@@ -90,20 +90,20 @@ class Folder:
         with writing(self.log):
             self._rows = GrowingTable(self.log_part, columns, end=_END)
 
-    def reopen(
+    def resume(
         self, tree: Tree, structure: Structure, frame_interval: float, first: Callable[[Phase], Bath],
         columns_of: Callable[[State, Floats], list[str]],
     ) -> tuple[State, list[dict[str, float]], Floats]:  # fmt: skip
         """Open the files of an earlier run and truncate them to its last checkpoint: frame_interval ps."""
-        with _kept(self.path, self.settings) as kept:
-            state = _state(tree, kept)
-            kept.array("memory", first(state.at).memory.shape)
-            self.start = kept.array("start", (structure.n_atoms, 3))
-            for name, own in self.constants.items():
-                kept.array(name, own.shape)
-            listed = len(kept.arrays["lists_at"])
-            lists_at = kept.array("lists_at", (structure.n_atoms if listed else 0, 3))
-            self.stored = values = {name: kept.count(name) for name in _COUNTED}
+        with _open_checkpoint(self.path, self.settings) as contents:
+            state = _state(tree, contents)
+            contents.array("memory", first(state.at).memory.shape)
+            self.start = contents.array("start", (structure.n_atoms, 3))
+            for name, constant in self.constants.items():
+                contents.array(name, constant.shape)
+            n_listed = len(contents.arrays["lists_at"])
+            lists_at = contents.array("lists_at", (structure.n_atoms if n_listed else 0, 3))
+            self.stored = values = {name: contents.count(name) for name in _COUNTED}
         # All is read before any file is changed: a run that is refused leaves its folder as it was.
         log = self.log_part if self.log_part.exists() else self.log
         text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
@@ -188,7 +188,7 @@ class Folder:
 
 
 @contextmanager
-def rescued(folder: Folder | None) -> Iterator[None]:
+def rescue_on_failure(folder: Folder | None) -> Iterator[None]:
     """Keep what can be kept of a simulation when a file cannot be written, and say what and how to go on."""
     try:
         yield
@@ -202,9 +202,9 @@ def rescued(folder: Folder | None) -> Iterator[None]:
 _COUNTED = ("step", "frames", "trajectory_bytes", "log_bytes")
 
 
-def _state(tree: Tree, kept: Checkpoint) -> State:
+def _state(tree: Tree, contents: Checkpoint) -> State:
     """State of a checkpoint; a ValueError unless all of it fits the tree, as kernels count on."""
-    arrays, q = kept.arrays, kept.array("q", (tree.n_q,))
+    arrays, q = contents.arrays, contents.array("q", (tree.n_q,))
     fresh = articulate(tree, pose(tree, q))
     shapes = {
         "q": (tree.n_q,), "qd": (tree.n_v,), "p": (tree.n_v,), "torque": (tree.n_v,),
@@ -213,13 +213,13 @@ def _state(tree: Tree, kept: Checkpoint) -> State:
         "root": fresh.root.shape, "memory": (arrays["memory"].size,), "work": (arrays["work"].size,),
         "loads": (len(arrays["loads"]), tree.n_v),
     }  # fmt: skip
-    a = {name: freeze(kept.array(name, shape)) for name, shape in shapes.items()}
+    a = {name: freeze(contents.array(name, shape)) for name, shape in shapes.items()}
     if len(a["loads"]) and len(a["loads"]) != len(a["work"]):
         raise ValueError(f"work of {len(a['work'])} loads, not {len(a['loads'])}")
     factors = Articulated(
         tree, Frames(a["rotation"], a["origin"]), a["inertia"], a["gain"], a["pivot"], a["root"]
     )
-    potential, time, bath, damped = map(kept.number, ("potential", "time", "bath_energy", "damped"))
+    potential, time, bath, damped = map(contents.number, ("potential", "time", "bath_energy", "damped"))
     loads = a["loads"] if len(a["loads"]) else None
     at = Phase(a["q"], a["qd"], a["p"], potential, a["torque"], factors, time, a["work"], loads)
-    return State(kept.count("step"), at, Bath(bath, a["memory"]), damped)
+    return State(contents.count("step"), at, Bath(bath, a["memory"]), damped)

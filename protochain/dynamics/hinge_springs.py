@@ -23,12 +23,12 @@ class HingeSprings:
     at_q: Integers  # at_q, at_v: (m,) int: Their coordinates and freedoms.
     at_v: Integers
     stiffness: Floats  # (m,) kJ/mol/rad^2.
-    rest: Floats  # (m,) rad: Values without torque.
+    rest_values: Floats  # (m,) rad: Values without torque.
     is_angle: np.ndarray  # (m,) bool: Whether each is a bond angle.
 
     def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
         """Energy and torques (n_v,)."""
-        away = q[self.at_q] - self.rest
+        away = q[self.at_q] - self.rest_values
         # 2 sin^2(x/2) is 1 - cos x without cancellation.
         energy = np.where(self.is_angle, 0.5 * away**2, 2.0 * np.sin(0.5 * away) ** 2)
         torque = np.zeros(self.n_v)
@@ -55,30 +55,30 @@ class Dampers:
     def apply(self, system: System, at: Phase, time: float, rng: np.random.Generator | None) -> Phase:
         """Phase after the dampers alone have acted for a time; without ``rng`` they only damp."""
         root, rate, modes = _modes(self, system, at.factors)
-        gone = -np.expm1(-rate * time)
+        decayed = -np.expm1(-rate * time)
         # Where closed loops leave no motion the rate is 0, and the quotients are their limits.
-        stands = rate < 1e-12 * rate.max(initial=0.0) + 1e-300
-        safe = np.where(stands, 1.0, rate)
-        impulse = -np.where(stands, time, gone / safe) * (modes.T @ (root * at.qd[self.at_v]))
+        is_still = rate < 1e-12 * rate.max(initial=0.0) + 1e-300
+        safe = np.where(is_still, 1.0, rate)
+        impulse = -np.where(is_still, time, decayed / safe) * (modes.T @ (root * at.qd[self.at_v]))
         if rng is not None and self.thermal_energy > 0.0:
-            spread = np.where(stands, 2.0 * time, gone * (2.0 - gone) / safe)
+            spread = np.where(is_still, 2.0 * time, decayed * (2.0 - decayed) / safe)
             impulse += np.sqrt(self.thermal_energy * spread) * rng.standard_normal(len(rate))
         p = np.zeros_like(at.qd)
         p[self.at_v] = root * (modes @ impulse)
-        return system.with_velocities(at, at.qd + _moved(system, at.factors, p))
+        return system.with_velocities(at, at.qd + _velocity_change(system, at.factors, p))
 
 
 @lru_cache(maxsize=1)
 def _modes(dampers: Dampers, system: System, factors: Articulated) -> tuple[Floats, Floats, Floats]:
     """Roots of c (m,), rates L (m,) and modes V (m, m); kept, as a step begins where the last one ended."""
     root, n_v = np.sqrt(dampers.damping), system.tree.n_v
-    moved = np.array([_moved(system, factors, one) for one in np.eye(n_v)[dampers.at_v]])
-    response = root[:, None] * moved[:, dampers.at_v] * root
+    responses = np.array([_velocity_change(system, factors, unit) for unit in np.eye(n_v)[dampers.at_v]])
+    response = root[:, None] * responses[:, dampers.at_v] * root
     rate, modes = np.linalg.eigh(0.5 * (response + response.T))
     return root, np.maximum(rate, 0.0), modes
 
 
-def _moved(system: System, factors: Articulated, p: Floats) -> Floats:
+def _velocity_change(system: System, factors: Articulated, p: Floats) -> Floats:
     """Velocities (n_v,) of momenta p (n_v,), which closed loops allow."""
     if system.constraint is None:
         return solve(factors, p)
@@ -89,14 +89,14 @@ def hinges_of(spring: HingeSpring, chain: Chain) -> Integers:
     """Hinges of a chain that a spring is for, by number."""
     if "@" in spring.kind or " " in spring.kind:
         return np.array([chain.hinge(spring.kind)])
-    found = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
-    if not len(found):
+    hinges = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
+    if not len(hinges):
         opened = " ".join(dict.fromkeys([*chain.opened.split(), spring.kind]))
         raise ChainError(
             f"{chain.structure.name}: hinge spring {spring.kind}: no hinge of this kind turns; "
             f"open them with hinges {opened!r}"
         )
-    return found
+    return hinges
 
 
 def _is_kind(hinge: Hinge, kind: str) -> bool:
@@ -109,17 +109,17 @@ def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> Hi
     """Springs of these settings for a chain that starts at q, where they have no torque; None without any."""
     if not springs:
         return None
-    each = [hinges_of(spring, chain) for spring in springs]
-    found = np.concatenate(each)
-    body = chain.hinge_body[found]
+    groups = [hinges_of(spring, chain) for spring in springs]
+    hinges = np.concatenate(groups)
+    body = chain.hinge_body[hinges]
     at_q = chain.tree.q_start[body]
     return HingeSprings(
         chain.n_v,
         at_q,
         chain.tree.v_start[body],
-        np.repeat([float(spring.stiffness) for spring in springs], [len(its) for its in each]),
+        np.repeat([float(spring.stiffness) for spring in springs], [len(group) for group in groups]),
         np.asarray(q)[at_q],
-        np.array([chain.hinges[i].is_angle for i in found]),
+        np.array([chain.hinges[i].is_angle for i in hinges]),
     )
 
 

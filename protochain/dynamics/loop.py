@@ -53,7 +53,7 @@ class State:
     damped: float = 0.0
 
     @property
-    def conserved(self) -> float:
+    def conserved_energy(self) -> float:
         """Conserved quantity, kJ/mol: total energy and that given to heat bath and dampers, less the work."""
         return self.at.total - float(np.sum(self.at.work)) + self.bath.energy + self.damped
 
@@ -125,7 +125,7 @@ def advance(propagator: Propagator, state: State) -> State:
     step, at, damped, dampers = state.step + 1, state.at, state.damped, propagator.dampers
     if dampers is not None:
         shake = noise(propagator.seed, step, 1)
-        at, damped = _damped(propagator, dampers, at, damped, shake)
+        at, damped = _apply_dampers(propagator, dampers, at, damped, shake)
     try:
         at = _step(propagator, at)
     except StepTooLargeError:
@@ -133,7 +133,7 @@ def advance(propagator: Propagator, state: State) -> State:
             raise
         at = replace(state.at, potential=np.inf)
     if dampers is not None:
-        at, damped = _damped(propagator, dampers, at, damped, shake)
+        at, damped = _apply_dampers(propagator, dampers, at, damped, shake)
     system, thermostat = propagator.system, propagator.thermostat
     random = partial(noise, propagator.seed, step)
     at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, random)
@@ -142,7 +142,7 @@ def advance(propagator: Propagator, state: State) -> State:
     return State(step, at, bath, damped)
 
 
-def _damped(
+def _apply_dampers(
     propagator: Propagator, dampers: Dampers, at: Phase, damped: float, shake: np.random.Generator
 ) -> tuple[Phase, float]:
     """Let the dampers act for half a step; return also the energy that they have by then."""
@@ -173,7 +173,7 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
 
 
 def run(
-    propagator: Propagator, start: State, n_steps: int, every: int, report: Callable[[State], None]
+    propagator: Propagator, start: State, n_steps: int, interval: int, report: Callable[[State], None]
 ) -> tuple[State, Ending, str]:
     """Advance a simulation to step ``n_steps``.
 
@@ -185,10 +185,10 @@ def run(
         State to continue from.
     n_steps : int
         Number of the last step, counted from the start of the simulation.
-    every : int
+    interval : int
         Steps between reports.
     report : callable
-        Called with the state at every multiple of ``every``.
+        Called with the state at every multiple of ``interval``.
 
     Returns
     -------
@@ -204,7 +204,7 @@ def run(
                 state = advance(propagator, state)
             except StepTooLargeError as error:
                 return state, Ending.UNSTABLE, str(error)
-            if state.step % every == 0:
+            if state.step % interval == 0:
                 report(state)
     return state, Ending.COMPLETED, ""
 

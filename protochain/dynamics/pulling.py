@@ -19,7 +19,7 @@ _LEAST = 1e-9
 """nm. Nearer than this the direction between the places is rounding; the force is then 0."""
 
 
-_KEPT = 1e-9
+_SMALLEST_RESPONSE = 1e-9
 """Of how easily a distance changes without loops: less is rounding."""
 
 
@@ -134,24 +134,24 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
     for atoms, sign in zip(places_of(pull, chain.structure), (-1.0, 1.0), strict=True):
         weight = mass[atoms] / mass[atoms].sum()
         for b in np.unique(chain.atom_body[atoms]).tolist():
-            on = chain.atom_body[atoms] == b
+            on_body = chain.atom_body[atoms] == b
             body.append(b)
-            local.append(np.average(chain.atom_local[atoms[on]], axis=0, weights=weight[on]))
-            share.append(sign * float(weight[on].sum()))
-    made = MovingSpring(
+            local.append(np.average(chain.atom_local[atoms[on_body]], axis=0, weights=weight[on_body]))
+            share.append(sign * float(weight[on_body].sum()))
+    spring = MovingSpring(
         chain.tree, np.array(body), np.array(local), np.array(share), pull.stiffness, pull.speed, 0.0
     )
-    return replace(made, start=made.tension(0.0, pose(chain, q).frames)[0])
+    return replace(spring, start=spring.tension(0.0, pose(chain, q).frames)[0])
 
 
-def refuse_kept(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:
+def refuse_fixed(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:
     """Refuse places whose distance closed loops keep at q."""
     if system.constraint is None:
         return
     factors = system.factors(q)
     torque = spring.gradient(factors.frames)
-    free, kept = solve(factors, torque), system.constraint.project_velocities(factors, torque)
-    if torque @ kept < _KEPT * (torque @ free):
+    free, constrained = solve(factors, torque), system.constraint.project_velocities(factors, torque)
+    if torque @ constrained < _SMALLEST_RESPONSE * (torque @ free):
         raise ChainError(
             f"{structure.name}: pull {pull}: closed loops keep this distance; give others, or open loops"
         )

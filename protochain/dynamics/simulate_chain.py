@@ -28,15 +28,15 @@ from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
-from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued
+from protochain.dynamics.folder import Folder, check_folder, constants_of, rescue_on_failure
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.integrators import INTEGRATORS
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential, fixman
-from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_kept
+from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_fixed
 from protochain.dynamics.simulate_settings import HingeSpring, Pull, RunSettings, SimulationSettings
-from protochain.dynamics.simulation import Simulation, said_of
+from protochain.dynamics.simulation import Simulation, describe_outcome
 from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
@@ -109,8 +109,8 @@ def simulate(
     >>> str(m.ending), len(m.q)
     ('completed', 12)
     """
-    given = locals()
-    settings, running = settings_from(SimulationSettings, given), settings_from(RunSettings, given)
+    arguments = locals()
+    settings, running = settings_from(SimulationSettings, arguments), settings_from(RunSettings, arguments)
     path = None if output is None else Path(output)
     if path is not None:
         check_folder(path, trajectory, running.resume, running.force)
@@ -121,7 +121,7 @@ def simulate(
         # A resumed run has the loops of its own start, not of this q.
         run = _prepare(chain, energy, q, settings, constants_of(path) if resume and path else {})
         folder = None if path is None else Folder(path, trajectory, run.identity, run.constants)
-        with threadpool_limits(1, "blas"), rescued(folder):
+        with threadpool_limits(1, "blas"), rescue_on_failure(folder):
             return _simulate(run, folder, running, watch)
 
 
@@ -146,12 +146,12 @@ class _Run:
     @property
     def constants(self) -> dict[str, Floats]:
         """What the run measures at its start and keeps, by names of ``folder.CONSTANTS``."""
-        found = {
+        arrays = {
             "loop_lengths": None if self.closure is None else self.closure.length,
             "pull_start": None if self.pull is None else np.array([self.pull.start]),
-            "hinge_rest": None if self.springs is None else self.springs.rest,
+            "hinge_rest": None if self.springs is None else self.springs.rest_values,
         }
-        return {name: values for name, values in found.items() if values is not None}
+        return {name: values for name, values in arrays.items() if values is not None}
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ class _Run:
             "kinetic_kj_mol": at.kinetic,
             "potential_kj_mol": at.potential - bias,
             "total_kj_mol": at.total - bias,
-            "conserved_kj_mol": state.conserved,
+            "conserved_kj_mol": state.conserved_energy,
             "temperature_k": 2.0 * at.kinetic / (self.freedoms * MOLAR_GAS),
             "ca_rmsd_angstrom": rmsd_angstrom(x[alpha], start[alpha]),
         }
@@ -199,18 +199,18 @@ class _Run:
         return row, x
 
 
-def freed(chain: Chain, settings: SimulationSettings) -> Chain:
+def prepare_chain(chain: Chain, settings: SimulationSettings) -> Chain:
     """Chain as it is simulated: a root that ``auto`` has fixed is freed, and hydrogens have their mass."""
-    made = with_free_root(chain, settings.hydrogen_mass)
+    simulated = with_free_root(chain, settings.hydrogen_mass)
     if settings.pull is not None:
-        check_pull(settings.pull, made)
+        check_pull(settings.pull, simulated)
     for spring in settings.hinge_springs:
-        hinges_of(spring, made)
-    return made
+        hinges_of(spring, simulated)
+    return simulated
 
 
 def _prepare(
-    chain: Chain,
+    original: Chain,
     energy: Energy,
     q: Floats | None,
     settings: SimulationSettings,
@@ -218,47 +218,47 @@ def _prepare(
 ) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     # A run that is resumed keeps the constants that it measured at its start, where those of q are others.
-    given = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
-    made = freed(chain, settings)
-    varying = energy.without_constants(made.rigid_groups, made.structure.positions)
-    start = transfer_coordinates(chain, made, given)
-    closure = closure_of(made, start) if settings.loops == "closed" else None
+    coordinates = original.q0 if q is None else finite(q, (original.n_q,), "q")
+    chain = prepare_chain(original, settings)
+    varying = energy.without_constants(chain.rigid_groups, chain.structure.positions)
+    start = transfer_coordinates(original, chain, coordinates)
+    closure = closure_of(chain, start) if settings.loops == "closed" else None
     if closure is not None:
-        closure = replace(closure, length=_measured(constants, "loop_lengths", closure.length))
-    springs = hinge_springs(settings.hinge_springs, made, start)
+        closure = replace(closure, length=_constant(constants, "loop_lengths", closure.length))
+    springs = hinge_springs(settings.hinge_springs, chain, start)
     if springs is not None:
-        springs = replace(springs, rest=_measured(constants, "hinge_rest", springs.rest))
-    pull = moving_spring(settings.pull, made, start) if settings.pull is not None else None
+        springs = replace(springs, rest_values=_constant(constants, "hinge_rest", springs.rest_values))
+    pull = moving_spring(settings.pull, chain, start) if settings.pull is not None else None
     if pull is not None:
-        pull = replace(pull, start=float(_measured(constants, "pull_start", np.array([pull.start]))[0]))
+        pull = replace(pull, start=float(_constant(constants, "pull_start", np.array([pull.start]))[0]))
     biases: dict[str, Potential] = {}
     if settings.fixman:
         biases["fixman_kj_mol"] = fixman(settings.thermal_energy, closure)
     if springs is not None:
         biases["hinge_springs_kj_mol"] = springs.potential
     if settings.restraint:
-        restraints = Restraints.of(made.structure, settings.restraint)
-        biases["restraints_kj_mol"] = chain_potential(made, restraints)
+        restraints = Restraints.of(chain.structure, settings.restraint)
+        biases["restraints_kj_mol"] = chain_potential(chain, restraints)
     if pull is not None and pull.speed == 0.0:
         biases["pull"] = pull.potential
-    parts = [chain_potential(made, varying), *biases.values()]
+    parts = [chain_potential(chain, varying), *biases.values()]
     loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
-    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads=loads)
+    system = System(chain.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads=loads)
     if settings.pull is not None and pull is not None:
-        refuse_kept(settings.pull, pull, system, made.structure, start)
-    freedoms = made.n_v - (0 if closure is None else len(closure.length))
+        refuse_fixed(settings.pull, pull, system, chain.structure, start)
+    freedoms = chain.n_v - (0 if closure is None else len(closure.length))
     # Only a molecule that nothing holds from outside conserves its momentum, which can then be removed.
-    held_by = frame_of(made, energy, _holder(made, settings)).held_by
+    held_by = frame_of(chain, energy, _holder(chain, settings)).held_by
     removes = not held_by and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
     noise = 0.0 if settings.thermostat == "none" else settings.thermal_energy
     kt = settings.thermal_energy
     propagator = Propagator(
         system, INTEGRATORS[settings.integrator], build_thermostat(settings.record(), kt, freedoms),
-        settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
+        settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, chain, noise),
     )  # fmt: skip
     return _Run(
-        made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, held_by, biases
+        chain, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, held_by, biases
     )
 
 
@@ -269,30 +269,30 @@ def _holder(chain: Chain, settings: SimulationSettings) -> str:
     return "" if has_free_roots(chain.tree) else "a fixed root"
 
 
-def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
+def _constant(constants: Mapping[str, Floats], name: str, default: Floats) -> Floats:
     """What the run to be resumed measured at its start; its own if there is none of its shape."""
     # The checkpoint is then of another run, or damaged, which is found out and said when it is read.
-    found = constants.get(name)
-    return own if found is None or found.shape != own.shape else found
+    stored = constants.get(name)
+    return default if stored is None or stored.shape != default.shape else stored
 
 
 @held_interrupts()
 def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Watcher | None) -> Simulation:
     """Run a simulation from its start or checkpoint, and write its files."""
-    every, structure = run.settings.every, run.chain.structure
+    interval, structure = run.settings.every, run.chain.structure
     start, origin, rows = _start(run, folder, running.resume)
     frame = run.frame(origin)
-    kept = list[Any]()
+    frames = list[Any]()
 
     def report(state: State) -> None:
-        row, at = run.row(state, origin)
-        x = frame(at)
+        row, positions = run.row(state, origin)
+        x = frame(positions)
         rows.append(row)
         if folder is None:
-            kept.append(x.astype(np.float32))
+            frames.append(x.astype(np.float32))
         else:
             folder.append(row, x)
-            if state.step and state.step % (every * running.checkpoint_every) == 0:
+            if state.step and state.step % (interval * running.checkpoint_every) == 0:
                 folder.store(state, run.varying.lists_at)
         if watch:
             watch(row, x)
@@ -303,21 +303,21 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         # Compile or load the kernels before the clock starts.
         advance(run.propagator, start)
     began = perf_counter()
-    state, ending, why = propagate(run.propagator, start, running.n_steps, every, report)
+    state, ending, reason = propagate(run.propagator, start, running.n_steps, interval, report)
     seconds = perf_counter() - began
     end = place_atoms(run.chain, state.at.factors.frames)
     inverted = changed_stereocentres(structure, end, structure.positions)
     if inverted and ending is not Ending.UNSTABLE:
-        ending, why = Ending.UNSTABLE, f"{listed(inverted)} inverted"
+        ending, reason = Ending.UNSTABLE, f"{listed(inverted)} inverted"
     if folder:
         folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)
     result = Simulation(
         chain=run.chain, energy_function=run.energy, settings=run.settings, freedoms=run.freedoms,
         state=state, ending=ending,
-        message=said_of(ending, why, state.step, run.settings, structure, origin),
+        message=describe_outcome(ending, reason, state.step, run.settings, structure, origin),
         rows=tuple(rows), last=run.row(state, origin)[0], n_steps=state.step - start.step,
-        seconds=seconds, frame=frame, kept=tuple(kept),
+        seconds=seconds, frame=frame, stored_frames=tuple(frames),
         trajectory=None if folder is None else folder.trajectory,
     )  # fmt: skip
     if folder:
@@ -337,7 +337,7 @@ def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Float
 
     if folder and resume:
         first = run.propagator.thermostat.init
-        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval, first, columns)
+        state, rows, lists_at = folder.resume(run.chain.tree, run.chain.structure, interval, first, columns)
         if len(lists_at):
             run.varying.list_at(lists_at)
         return state, folder.start, rows

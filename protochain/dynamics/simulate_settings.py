@@ -148,10 +148,10 @@ class HingeSpring:
         unit = "kilojoule_per_mole/radian/radian"
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
         # Polar hinges are rotors.
-        known = [kind for kind in HINGES if kind != "polar"]
+        kinds = [kind for kind in HINGES if kind != "polar"]
         kind, _, place = self.kind.replace("@", " ").partition(" ")
-        if (kind.rstrip("12345") if place else kind) not in known:
-            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(known)}")
+        if (kind.rstrip("12345") if place else kind) not in kinds:
+            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(kinds)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
             if not 0.0 <= value < math.inf:
                 raise ProtochainError(f"{name} {value:g}: give 0 or more")
@@ -159,18 +159,18 @@ class HingeSpring:
     @classmethod
     def read(cls, stated: str, name: str = "hinge_springs") -> Self:
         """Read ``omega 40 0.5``: kind, stiffness, and damping if there is any."""
-        kind, *rest = stated.split() or [""]
+        kind, *numbers = stated.split() or [""]
         try:
-            return cls(kind, *(float(word) for word in rest))
+            return cls(kind, *(float(word) for word in numbers))
         except (TypeError, ValueError) as error:
-            why = error.parts if isinstance(error, ProtochainError) else ("give kind, stiffness, damping",)
-            raise ProtochainError(Argument(name), f" {stated!r}: ", *why, ", as 'omega 40 0.5'") from None
+            reason = error.parts if isinstance(error, ProtochainError) else ("give kind, stiffness, damping",)
+            raise ProtochainError(Argument(name), f" {stated!r}: ", *reason, ", as 'omega 40 0.5'") from None
 
     @classmethod
     def several(cls, value: Any, name: str = "hinge_springs") -> tuple[Self, ...]:
         """Read what :func:`protochain.simulate` takes: one, several, or texts of them."""
-        given = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
-        springs = [cls.read(each, name) if isinstance(each, str) else each for each in given]
+        items = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+        springs = [cls.read(item, name) if isinstance(item, str) else item for item in items]
         for spring in springs:
             if not isinstance(spring, cls):
                 raise refused(name, shown(spring), "give HingeSprings, as of 'omega 40 0.5'")
@@ -182,12 +182,12 @@ class HingeSpring:
 
 def _picoseconds(femtoseconds: float) -> float:
     """Time step of the command line; one that is meant in another unit is refused."""
-    given = f"{femtoseconds:g} fs"
+    text = f"{femtoseconds:g} fs"
     if not 0.0 < femtoseconds < 1000.0 * LONGEST_STEP:
-        raise refused("time_step", given, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
+        raise refused("time_step", text, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
     if femtoseconds < _SHORTEST:
         raise refused(
-            "time_step", given, f"give femtoseconds: {1000.0 * femtoseconds:g} are {femtoseconds:g} ps"
+            "time_step", text, f"give femtoseconds: {1000.0 * femtoseconds:g} are {femtoseconds:g} ps"
         )
     return femtoseconds / 1000.0
 
@@ -325,7 +325,7 @@ class SimulationSettings(Settings):
         """Return the settings as plain values by name."""
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
         for name in ("hinge_springs", "restraint"):
-            plain[name] = [str(each) for each in plain[name]] or None
+            plain[name] = [str(value) for value in plain[name]] or None
         return plain | ({"pull": None} if self.pull is None else self.pull.record())
 
 

@@ -60,7 +60,7 @@ class Simulation(ViolationsAtEnd):
         Wall time of these steps.
     frame : Frame
         Says whether frames are superposed on the start, and if not, what held the chain in place.
-    kept : tuple of (na, 3) float32, nm
+    stored_frames : tuple of (na, 3) float32, nm
         Positions at the rows of the log, of a run without a folder.
     trajectory : Path, optional
         File of the frames.
@@ -83,15 +83,15 @@ class Simulation(ViolationsAtEnd):
     n_steps: int
     seconds: float
     frame: Frame
-    kept: tuple[NDArray[np.float32], ...] = ()
+    stored_frames: tuple[NDArray[np.float32], ...] = ()
     trajectory: Path | None = None
 
     @cached_property
     def frames(self) -> Any:
         """(n, na, 3) float32, nm: positions at the rows of the log; of a run with a folder, from its file."""
         if self.trajectory is None:
-            return np.array(self.kept, dtype=np.float32)
-        return np.array([each.x for each in open_frames(self.trajectory)], dtype=np.float32)
+            return np.array(self.stored_frames, dtype=np.float32)
+        return np.array([frame.x for frame in open_frames(self.trajectory)], dtype=np.float32)
 
     def to_mdtraj(self) -> "mdtraj.Trajectory":
         """Convert the frames to an mdtraj trajectory, in nm."""
@@ -163,27 +163,27 @@ class Simulation(ViolationsAtEnd):
     def save(self, path: str | Path) -> None:
         """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
         s, e = self.settings, self.energy_function
-        beside = [
+        remarks = [
             f"SPRINGS ON {spring.kind.upper()}: {spring.stiffness:g} KJ/MOL/RAD^2, "
             f"{spring.damping:g} KJ/MOL PS/RAD^2"
             for spring in s.hinge_springs
         ]
         if s.pull is not None:
-            beside.append(f"PULLED {s.pull} BY {s.pull.stiffness:g} KJ/MOL/NM^2 AT {s.pull.speed:g} NM/PS")
+            remarks.append(f"PULLED {s.pull} BY {s.pull.stiffness:g} KJ/MOL/NM^2 AT {s.pull.speed:g} NM/PS")
         save(self.structure, path, [
             f"PROTOCHAIN {version('protochain')}, CONSTRAINED DYNAMICS, {self.message.upper()}",
             f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}",
             f"{s.integrator.upper()}, {1000 * s.time_step:g} FS, {s.thermostat.upper()}, {s.temperature:g} K",
-            *beside,
+            *remarks,
         ])  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """Return the simulation as flat values for JSON."""
         settings = {RENAMED.get(name, name): value for name, value in self.settings.record().items()}
         settings["time_step_fs"] *= 1000
-        return {each.key: each.value(self) for each in RECORD} | settings | self._pulled()
+        return {column.key: column.value(self) for column in RECORD} | settings | self._pull_record()
 
-    def _pulled(self) -> dict[str, float]:
+    def _pull_record(self) -> dict[str, float]:
         """What a pull has come to; nothing without one."""
         if self.settings.pull is None:
             return {}
@@ -199,19 +199,19 @@ class Simulation(ViolationsAtEnd):
         return f"<Simulation of {self.chain.structure.name}: {self.message}>"
 
 
-def said_of(
-    ending: Ending, why: str, step: int, settings: SimulationSettings, structure: Structure, start: Floats
+def describe_outcome(
+    ending: Ending, reason: str, step: int, settings: SimulationSettings, structure: Structure, start: Floats
 ) -> str:
     """Outcome of a simulation in one line, with a remedy if it has become unstable."""
-    done = f"{counted(step, 'step')}, {step * settings.time_step:g} ps"
+    progress = f"{counted(step, 'step')}, {step * settings.time_step:g} ps"
     if ending is not Ending.UNSTABLE:
-        return f"{ending}: {done}"
+        return f"{ending}: {progress}"
     crowd = len(overlaps(structure, start))
     if crowd:
         pairs = "pair of atoms overlaps" if crowd == 1 else "pairs of atoms overlap"
-        return f"unstable after {done}: {why}; {crowd} {pairs} at the start: minimise first"
+        return f"unstable after {progress}: {reason}; {crowd} {pairs} at the start: minimise first"
     return (
-        f"unstable after {done}: {why}; take a time step below {settings.time_step:g} ps "
+        f"unstable after {progress}: {reason}; take a time step below {settings.time_step:g} ps "
         f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
         + ("; or pull more slowly, by a softer spring" if settings.pull else "")
     )
@@ -226,7 +226,7 @@ RENAMED = {
 RECORD = (
     Column("protochain", lambda r: version("protochain")),
     Column("structure", lambda r: r.chain.structure.name),
-    *(each for each in of_energy() if each.key != "protochain"),
+    *(column for column in of_energy() if column.key != "protochain"),
     Column("hinges", lambda r: r.chain.opened),
     Column("move", lambda r: r.chain.move),
     Column("n_chains", lambda r: r.chain.structure.n_chains),

@@ -115,13 +115,13 @@ class Rescaling(Thermostat):
             return at, bath
         keep, share = np.exp(-2.0 * self.friction * abs(time_step)), 0.5 * self.thermal_energy
         rng = random()
-        one, others = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (self.freedoms - 1))
-        wanted = (
+        one, squares = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (self.freedoms - 1))
+        kinetic = (
             keep * at.kinetic
-            + (1.0 - keep) * share * (one * one + others)
+            + (1.0 - keep) * share * (one * one + squares)
             + 2.0 * one * np.sqrt(keep * (1.0 - keep) * share * at.kinetic)
         )
-        after = system.with_velocities(at, np.sqrt(wanted / at.kinetic) * at.qd)
+        after = system.with_velocities(at, np.sqrt(kinetic / at.kinetic) * at.qd)
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
 
@@ -155,9 +155,9 @@ class NoseHoover(Thermostat):
 
     @property
     def _inertia(self) -> Floats:
-        each = np.full(_CHAIN, self.thermal_energy / self.friction**2)
-        each[0] *= self.freedoms
-        return each
+        inertia = np.full(_CHAIN, self.thermal_energy / self.friction**2)
+        inertia[0] *= self.freedoms
+        return inertia
 
     def init(self, at: Phase) -> Bath:
         """Return a bath with friction coefficients of zero."""
@@ -248,5 +248,5 @@ THERMOSTATS: dict[str, type[Thermostat]] = {
 def build_thermostat(settings: Mapping[str, Any], thermal_energy: float, freedoms: int) -> Thermostat:
     """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
     kind: Any = THERMOSTATS[settings["thermostat"]]
-    given = {**settings, "thermal_energy": thermal_energy, "freedoms": freedoms}
-    return kind(**{field.name: given[field.name] for field in fields(kind)})
+    values = {**settings, "thermal_energy": thermal_energy, "freedoms": freedoms}
+    return kind(**{field.name: values[field.name] for field in fields(kind)})

@@ -90,13 +90,13 @@ def umbrella(
     for window in windows:
         rows = list[Any]()
         watch = partial(_append, rows)
-        done = simulate(cut, energy, q, temperature, restraint=window, watch=watch, **options)
-        if not done.is_sound:
-            raise ProtochainError(f"umbrella: window {window}: {done.message}")
+        result = simulate(cut, energy, q, temperature, restraint=window, watch=watch, **options)
+        if not result.is_sound:
+            raise ProtochainError(f"umbrella: window {window}: {result.message}")
         if len(rows) < n_equilibrate + 2:
             few = f"umbrella: window {window}: {len(rows)} rows, of which {n_equilibrate} are skipped; "
             raise ProtochainError(few, "give more ", Argument("n_steps"))
-        cut, q = done.chain, done.q
+        cut, q = result.chain, result.q
         x += rows[n_equilibrate:]
         counts.append(len(rows) - n_equilibrate)
     thermal_energy = MOLAR_GAS * temperature
@@ -158,8 +158,8 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     if np.min(gaps) < _APART:
         near = int(np.argmin(gaps))
         pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"
-        whole = " or more than a full circle apart" if np.isfinite(circle) else ""
-        raise refused("centres", pair, f"these are equal{whole}; give different ones")
+        full_circle = " or more than a full circle apart" if np.isfinite(circle) else ""
+        raise refused("centres", pair, f"these are equal{full_circle}; give different ones")
     if edges is None:
         low, high = (0.5 * min(gaps[k], gaps[-1]) for k in (0, -2))
         low = at[0] - low if np.isfinite(circle) else max(at[0] - low, 0.0)

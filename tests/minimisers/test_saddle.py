@@ -275,11 +275,11 @@ def test_products_that_are_not_symmetric_are_measured_again_and_clear_ones_are_n
     at = problem.evaluate(np.zeros(3))
     known = CurvatureState(at, None, direction=np.array([1.0, 0.0, 0.0]), ritz=5.1)
     method = Curvature(1.0)
-    clear = method._measured(problem, known)
+    clear = method._measure_eigenvalue(problem, known)
     assert clear.value == 5.1 and problem.n_evaluations == 1
     for doubtful in (replace(known, doubt=0.1), replace(known, ritz=0.01)):
         before = problem.n_evaluations
-        assert method._measured(problem, doubtful).value == pytest.approx(5.0)
+        assert method._measure_eigenvalue(problem, doubtful).value == pytest.approx(5.0)
         assert problem.n_evaluations == before + 2
 
 
