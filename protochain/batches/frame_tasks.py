@@ -29,7 +29,7 @@ from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Reading, open_frames
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.findings import MEASURES, Found
-from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, native, scored
+from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, as_native, score_sides
 from protochain.validation.likeness import LIKENESS, likeness
 
 Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
@@ -190,13 +190,13 @@ class ScoreFrames(Task):
             problem = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
             raise ProtochainError(f"{structure.name}: {problem}", Argument("interface"))
         parts = sides(structure, *pairs[0])
-        energy = native(_with_threads(self.setup, threads).energy(structure))
+        energy = as_native(_with_threads(self.setup, threads).energy(structure))
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             _begin_anew(energy, frame.positions)
             if self.relax:
                 frame = relax_structure(frame, energy, RelaxSettings()).structure
-            row = scored(frame, energy, *pairs[0], parts).record()
+            row = score_sides(frame, energy, *pairs[0], parts).record()
             row |= docked(self.reference, frame, *pairs[0]) if self.reference else {}
             return {key: row[key] for key in self.columns}, None
 

@@ -13,7 +13,7 @@ from protochain.relaxation.relax_structure import relax_structure
 from protochain.structure import Structure
 from protochain.structure.formats.confidences import confidence_files, read_scores
 from protochain.structure.select import sides, sides_named, touching_chains
-from protochain.validation.interface import Interface, native, scored
+from protochain.validation.interface import Interface, as_native, score_sides
 
 Scored = tuple[str, Interface | str]
 """Name of a complex, and the scores of an interface, or the reason for their absence."""
@@ -47,11 +47,11 @@ class ScoreJob:
             )
             if not pairs:
                 raise ProtochainError(f"{self.label}: no two of its chains are in contact; give a complex")
-            energy, confidences = native(setup.energy(structure)), read_scores(confidence_files(self.path))
+            energy, confidences = as_native(setup.energy(structure)), read_scores(confidence_files(self.path))
             if self.relax:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
-                interface = scored(structure, energy, *pair, sides(structure, *pair), confidences)
+                interface = score_sides(structure, energy, *pair, sides(structure, *pair), confidences)
                 off = docked(self.reference, structure, *pair) if self.reference else {}
                 yield self.label, replace(interface, scores={**interface.scores, **off})
         except Exception as error:

@@ -38,7 +38,7 @@ from protochain.structure import Structure
 from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
 from protochain.validation.fixed import fixed_counts
-from protochain.validation.interface import native
+from protochain.validation.interface import as_native
 from protochain.validation.omega import bonds_named
 
 _NAMED = 3
@@ -109,7 +109,7 @@ def relax_structure(
     if settings.mirror:
         structure = with_mirror_images(structure)
     if settings.interface:
-        native(energy)
+        as_native(energy)
         sides_named(structure, settings.interface)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)

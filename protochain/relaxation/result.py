@@ -29,7 +29,7 @@ from protochain.structure import Structure, save
 from protochain.structure.molecule.repairs import Kind, Repair, summarised
 from protochain.structure.select import sides, sides_named
 from protochain.validation import MEASURES
-from protochain.validation.interface import Interface, native, scored
+from protochain.validation.interface import Interface, as_native, score_sides
 from protochain.validation.ligands import LigandFound, findings_of, motion_in_words, sdf_properties
 
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
@@ -182,7 +182,7 @@ class Relaxation(RunEnds):
         if not self.settings.interface:
             return None
         pair = sides_named(structure, self.settings.interface)
-        return scored(structure, native(self.energy_function), *pair, sides(structure, *pair))
+        return score_sides(structure, as_native(self.energy_function), *pair, sides(structure, *pair))
 
     @property
     def ca_rmsd_angstrom(self) -> float:

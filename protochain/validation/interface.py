@@ -262,10 +262,10 @@ def score_interface(
     parts = sides(structure, first, second)
     function = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
     paths = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
-    return scored(structure, native(function), first, second, parts, read_scores(paths))
+    return score_sides(structure, as_native(function), first, second, parts, read_scores(paths))
 
 
-def native(energy: Energy) -> NativeEnergy:
+def as_native(energy: Energy) -> NativeEnergy:
     """The energy by the native engine, which alone returns terms."""
     by_kernels = native_of(energy)
     if by_kernels is None:
@@ -273,7 +273,7 @@ def native(energy: Energy) -> NativeEnergy:
     return by_kernels
 
 
-def scored(
+def score_sides(
     structure: Structure,
     energy: NativeEnergy,
     first: str,
