@@ -28,7 +28,7 @@ from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Reading, open_frames
 from protochain.structure.select import sides, sides_named, touching_chains
-from protochain.validation.findings import MEASURES, Found
+from protochain.validation.findings import MEASURES, Findings
 from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, as_native, score_sides
 from protochain.validation.likeness import LIKENESS, likeness
 
@@ -115,7 +115,7 @@ class ValidateFrames(Task):
         """Return the function. Validation needs no preparation."""
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
-            row = Found(frame, frame.positions).measures()
+            row = Findings(frame, frame.positions).measures()
             if self.reference is not None:
                 row |= likeness(frame, self.reference).measures
             return row, None

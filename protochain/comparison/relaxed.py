@@ -18,7 +18,7 @@ from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
 from protochain.structure.preparation.losses import loss_lines
 from protochain.validation.bonding import hydrogen_bonds
-from protochain.validation.findings import Found
+from protochain.validation.findings import Findings
 
 
 def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
@@ -60,7 +60,7 @@ def named_residues(
 ) -> dict[str, list[tuple[str, str]]]:
     """Residues that a reader looks at first, by what they are: place in the viewer, and words."""
     s = relaxation.start
-    before, after = (_outliers(Found(s, x)) for x in (s.positions, relaxation.x))
+    before, after = (_outliers(Findings(s, x)) for x in (s.positions, relaxation.x))
     groups = {
         f"New {kind}": [(r, "") for r in sorted(residues - before[kind])] for kind, residues in after.items()
     } | {
@@ -88,7 +88,7 @@ def named_residues(
     }  # fmt: skip
 
 
-def _outliers(found: Found) -> dict[str, set[int]]:
+def _outliers(found: Findings) -> dict[str, set[int]]:
     """Residues of each kind of outlier."""
     of, rama = found.structure.atom_residue, found.ramachandran
     return {

@@ -42,12 +42,12 @@ _T = TypeVar("_T")
 
 
 def _measure_once(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
-    """Attribute of :class:`Found`, measured when it is first asked for."""
+    """Attribute of :class:`Findings`, measured when it is first asked for."""
     return cached_property(lambda findings: measure(findings.structure, findings.x))
 
 
 @dataclass(frozen=True, eq=False)
-class Found(Value):
+class Findings(Value):
     """Faults of a structure at some positions."""
 
     structure: Structure
@@ -162,7 +162,7 @@ class Found(Value):
                 )
 
 
-RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
+RESIDUE_COLUMNS: Mapping[str, Callable[[Findings], Any]] = {
     "chain": lambda f: f.structure.residue_chain,
     "residue": lambda f: np.char.add(f.structure.residue_number, f.structure.residue_insertion_code),
     "name": lambda f: f.structure.residue_name,
@@ -188,7 +188,7 @@ RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
     ),
     "atoms_added": lambda f: f.per_residue(f.structure.built),
 }
-"""Columns of :meth:`Found.table`."""
+"""Columns of :meth:`Findings.table`."""
 
 
 class Measure(NamedTuple):
@@ -196,7 +196,7 @@ class Measure(NamedTuple):
 
     what: str  # What it is, in words.
     heading: str  # In tables of a terminal; without one it is not in them.
-    value: Callable[[Found], Any]  # Its value of a :class:`Found`.
+    value: Callable[[Findings], Any]  # Its value of a :class:`Findings`.
     whole: bool = True  # Whether it is a whole number.
 
 
@@ -256,14 +256,14 @@ class Remaining(NamedTuple):
     """Something in a result that a biologist may reject."""
 
     what: str  # What it is, in words.
-    places: Callable[[Found], list[str]]  # Where a :class:`Found` has it.
+    places: Callable[[Findings], list[str]]  # Where a :class:`Findings` has it.
 
 
-def _residues(findings: Found, residues: Any) -> list[str]:
+def _residues(findings: Findings, residues: Any) -> list[str]:
     return [str(findings.structure.residue(int(r))) for r in np.unique(residues)]
 
 
-def _at_interfaces(findings: Found) -> list[str]:
+def _at_interfaces(findings: Findings) -> list[str]:
     """Pairs of residues of two chains that clash, the worst first."""
     of, s = findings.structure.atom_residue[findings.clashes.pairs], findings.structure
     between = s.residue_chain[of[:, 0]] != s.residue_chain[of[:, 1]]
@@ -296,7 +296,7 @@ _JUDGED = "inverted_stereocentres", "inverted_double_bonds"
 @part("measuring")
 def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
     """Name places of faults that a biologist may reject, at positions x (na, 3), by keys of ``REMAINS``."""
-    return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
+    return Findings(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
 
 
 def remains_in_words(record: Mapping[str, Any], shown: int = 6) -> list[str]:

@@ -9,7 +9,7 @@ from protochain.core.checks import flag
 from protochain.core.timings import part
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import measurable
-from protochain.validation.findings import MEASURES, Found
+from protochain.validation.findings import MEASURES, Findings
 from protochain.validation.ligands import with_posebusters
 from protochain.validation.likeness import likeness
 from protochain.validation.result import Validation
@@ -40,7 +40,7 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nanometer")
     if not np.isfinite(x).all():
         return dict.fromkeys(MEASURES)
-    return Found(structure, x).measures()
+    return Findings(structure, x).measures()
 
 
 def validate(source: Any, reference: Any = None, posebusters: bool = False, **settings: Any) -> Validation:
@@ -78,7 +78,7 @@ def validate(source: Any, reference: Any = None, posebusters: bool = False, **se
     """
     posebusters = flag(posebusters, "posebusters")
     structure = as_structure(source, **settings)
-    findings = Found(structure, structure.positions)
+    findings = Findings(structure, structure.positions)
     values, table = findings.measures(), findings.table()
     mapping: str | None = None
     if reference is not None:

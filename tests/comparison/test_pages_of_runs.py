@@ -17,13 +17,13 @@ from protochain.comparison.relaxed import named_residues
 from protochain.comparison.simulated import averages, rmsf
 from protochain.results.figures import write_figure
 from protochain.results.provenance import command_line
-from protochain.validation.findings import Found
+from protochain.validation.findings import Findings
 
 
 def test_residues_that_are_named_are_those_whose_outliers_came_and_went():
     relaxation = pc.relax(load("1l2y.pdb"))
     before, after = (
-        set(Found(relaxation.start, x).side_chains.outliers.tolist())
+        set(Findings(relaxation.start, x).side_chains.outliers.tolist())
         for x in (relaxation.start.positions, relaxation.x)
     )
     named = named_residues(relaxation, {})

@@ -14,7 +14,7 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.cli import app
 from protochain.validation import LIKENESS, MEASURES, Validation, measures
-from protochain.validation.findings import Found
+from protochain.validation.findings import Findings
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_the_table_adds_up_to_the_numbers(spoilt):
     }.items() <= dict(v.measures).items()  # fmt: skip
     favoured = (t["ramachandran"] == "favoured").sum() / (t["ramachandran"] != "").sum()
     assert v.measures["ramachandran_favoured_percent"] == pytest.approx(100.0 * favoured)
-    found = Found(spoilt, spoilt.positions)
+    found = Findings(spoilt, spoilt.positions)
     assert (t["bond_outliers"] > 0).sum() == len(np.unique(spoilt.atom_residue[found.strain.bonds]))
     pairs = spoilt.atom_residue[found.clashes.pairs]
     assert t["clashes"].sum() == sum(1 + (a != b) for a, b in pairs.tolist()) > 0
