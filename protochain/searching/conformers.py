@@ -1,4 +1,4 @@
-"""What the backbone's torsions look like: regions of its residues, and helix."""
+"""Conformers of the backbone: Ramachandran regions of residues, and the share of helix."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ J. Phys. Chem. B 113:9004, 2009)."""
 
 
 def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
-    """Phi and psi, degrees, (..., r) of the residues between others, at torsions (..., n)."""
+    """Phi and psi, degrees, (..., r) of all residues except the termini, at torsions (..., n)."""
     residues = [res for res in Moves.of(chain).residues if res.psi != NONE]
     residues = [res for res in residues if not (res.is_first or res.is_last)]
     residues = [res for res in residues if res.phi != NONE or res.name == "PRO"]
@@ -42,7 +42,7 @@ def names(phi: Floats, psi: Floats) -> NDArray[np.str_]:
     """Regions of all residues in a row, as ``BAAB``: phi and psi (..., r) -> (...)."""
     letters = np.array([*REGIONS])[regions(phi, psi)]
     *shape, r = letters.shape
-    rows = letters.reshape(np.prod(shape, dtype=int), r)  # r may be 0: a dipeptide has none between others
+    rows = letters.reshape(np.prod(shape, dtype=int), r)  # r is 0 for a dipeptide
     return np.array(["".join(row) for row in rows], dtype=object).reshape(shape)
 
 

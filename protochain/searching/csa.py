@@ -1,8 +1,8 @@
-"""Conformational space annealing: minima of a bank are crossed, and the bank's variety is cooled.
+"""Conformational space annealing: minima of a bank are crossed, and the bank's diversity is reduced.
 
-Lee, Scheraga, Rackovsky, J. Comput. Chem. 18:1222 (1997). A bank of random minima covers the torsions. What
-two of them cross to displaces a minimum near it if it is lower, else the highest of all. What counts as near
-begins as half the mean distance of random minima, so that one funnel cannot fill the bank, and shrinks.
+Lee, Scheraga, Rackovsky, J. Comput. Chem. 18:1222 (1997). A bank of random minima covers the torsions. A new
+minimum replaces the nearest within a cutoff distance if it is lower, else the highest. The cutoff starts at
+half the mean distance of random minima, so that one funnel cannot fill the bank, and then shrinks.
 """
 
 from dataclasses import dataclass, replace
@@ -17,13 +17,13 @@ from protochain.searching.moves import apply_move, cross_over, draw_kind, random
 from protochain.searching.pieces import Finding, stream
 
 BANK = 50
-"""Random minima that join the bank at a time."""
+"""Number of random minima that are added to the bank together."""
 TRIALS, ROUNDS = 20, 2
-"""Trials from each minimum in a round, and rounds after which new random minima join."""
+"""Trials from each minimum in a round, and rounds between additions of random minima."""
 MUTATED, RANDOM = 0.15, 0.15
-"""Shares of trials that are moves as of hopping, and of crossings that are with one of the random minima."""
+"""Share of trials by moves as in hopping, and share of crossings with a random minimum."""
 WIDE, NARROW = 1 / 2, 1 / 5
-"""Largest and least distance of what is near, by the mean distance of random minima."""
+"""Largest and smallest cutoff, relative to the mean distance of random minima."""
 _COOLING = (NARROW / WIDE) ** (1.0 / (BANK * TRIALS))
 _SIZE = np.pi / 4
 
@@ -32,16 +32,16 @@ _SIZE = np.pi / 4
 class Bank(Value):
     """State of a bank of m minima."""
 
-    q: Floats  # (m, n) rad: Their torsions.
+    q: Floats  # (m, n) rad: Torsions of the minima.
     energies: Floats  # (m,) kJ/mol.
-    tried: Floats  # (m,): Trials from each since it came or since the round began.
+    tried: Floats  # (m,): Trials from each minimum since it was added or since the round began.
     random: Floats  # (k, n) rad: The last random minima.
-    room: int  # Minima that the bank is to hold: below it, random ones join.
+    room: int  # Capacity of the bank: random minima are added up to it.
     mean: float  # rad: Mean distance of the random minima.
-    width: float  # Distance of what is near, by ``mean``.
+    width: float  # Cutoff distance, relative to ``mean``.
     n_rounds: int
     n_done: int  # Descents.
-    n_accepted: int  # Those that changed the bank.
+    n_accepted: int  # Descents that changed the bank.
     n_evaluations: int
 
     @property
@@ -64,7 +64,7 @@ class Crossings:
     state = Bank
 
     def begin(self, landscape: Landscape) -> tuple[Bank, Finding]:
-        """Descend from the chain as it is: the first of the bank."""
+        """Descend from the chain's coordinates to the first minimum of the bank."""
         end = landscape.minimise(landscape.chain.q0)
         q = read_only(end.q[None])
         state = Bank(
@@ -73,7 +73,7 @@ class Crossings:
         return state, Finding.minimum(end.q, end.energy, end.n_evaluations)
 
     def step(self, landscape: Landscape, state: Bank) -> tuple[Bank, Finding]:
-        """Descend from random torsions while there is room, else from a trial."""
+        """Descend from random torsions while the bank is not full, else from a trial."""
         number = state.n_done + 1
         random = noise(self.seed, number, stream(self.walker))
         moves, joins = landscape.moves, len(state.q) < state.room
@@ -97,7 +97,7 @@ class Crossings:
 
 
 def add_random(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
-    """Let a random minimum join; the last one sets what is near."""
+    """Add a random minimum. The last minimum sets the cutoff."""
     random = np.concatenate([state.random, end.q[None]])[-2 * BANK :]
     after = replace(
         state,
@@ -114,7 +114,7 @@ def add_random(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
 
 
 def add_minimum(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
-    """Let a minimum displace one near it, or else the highest, if it is lower; what is near shrinks."""
+    """Shrink the cutoff. Replace the minimum within the cutoff, or else the highest, by a lower minimum."""
     state = replace(state, width=max(state.width * _COOLING, NARROW))
     distances = symmetry.distance(state.q, end.q)
     nearest, highest = int(np.argmin(distances)), int(np.argmax(state.energies))
@@ -134,13 +134,13 @@ def add_minimum(state: Bank, end: DescentEnd, symmetry: Symmetry) -> Bank:
 
 
 def next_round(state: Bank) -> Bank:
-    """Begin another round where all have been tried; after some, make room for new random minima."""
+    """Begin another round after all trials. After some rounds, increase the capacity for random minima."""
     if np.any(state.tried < TRIALS):
         return state
     after = replace(state, tried=read_only(np.zeros(len(state.q))), n_rounds=state.n_rounds + 1)
     if after.n_rounds % ROUNDS:
         return after
-    # The bank doubles once; then the higher half leaves.
+    # The bank doubles once. Then the higher half is removed.
     n = len(state.q)
     selected = np.argsort(state.energies, kind="stable")[:BANK] if n > BANK else np.arange(n)
     return replace(

@@ -1,4 +1,4 @@
-"""What a search writes to its folder: tables, the lowest minima, and a page."""
+"""Output folder of a search: tables, the lowest minima, and a page."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -20,9 +20,9 @@ from protochain.structure import Structure
 from protochain.structure import save as save_structure
 
 N_WRITTEN = 20
-"""Minima, the lowest, that are written as files."""
+"""Number of lowest minima that are written as files."""
 _N_SHOWN = 25
-"""Minima in the table of the page."""
+"""Number of minima in the table of the page."""
 TABLES = ("minima.csv", "populations.csv", "conformers.csv", "energy-rmsd.png")
 
 
@@ -36,8 +36,8 @@ def write_search(
     populations: pd.DataFrame | None,
     conformers: pd.DataFrame,
 ) -> None:
-    """Write the tables, structures, ``summary.json`` and ``report.html``; the page last, which links them."""
-    # Structures are by the number of their minimum; there are no populations without temperatures.
+    """Write tables, structures, ``summary.json``, and last the page ``report.html`` with links to them."""
+    # ``structure`` returns a minimum by number. ``populations`` is None without temperatures.
     files: dict[str, pd.DataFrame | Figure | str] = {"minima.csv": minima, "energy-rmsd.png": figure}
     if populations is not None:
         files |= {"populations.csv": populations, "conformers.csv": conformers}
@@ -69,8 +69,8 @@ def write_search(
 
 
 def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure:
-    """Energy of the minima against their C-alpha RMSD to the lowest, and the lowest energy as it fell."""
-    # walks: of each (n, 2), evaluations and energy of what it found.
+    """Plot energies of minima against C-alpha RMSD to the lowest, and the lowest energy of each walk."""
+    # walks: for each walk (n, 2), evaluations and energies of its minima.
     figure, (left, right) = panels(None, 2, (8, 3.4))
     clusters = table["cluster"].to_numpy()
     for k, (colour, marker) in enumerate(zip((*COLOURS, START), "osD^vPX.", strict=True), 1):

@@ -1,4 +1,4 @@
-"""Hopping: Metropolis' criterion over minima, each from the last accepted one by a move and a descent.
+"""Hopping: Metropolis' criterion over minima, each by a move and a descent from the last accepted minimum.
 
 Monte Carlo minimisation (Li, Scheraga, PNAS 84:6611, 1987), also known as basin hopping.
 """
@@ -15,7 +15,7 @@ from protochain.searching.moves import apply_move, draw_kind
 from protochain.searching.pieces import Finding, stream
 
 N_ADAPTIVE = 100
-"""Hops during which the size of a turn follows how often it is accepted; then it stays."""
+"""Number of hops in which the size of turns adapts to their acceptance. Then it is constant."""
 _TARGET, _FACTOR = 0.3, 1.1
 _LARGEST = np.pi
 
@@ -24,16 +24,16 @@ _LARGEST = np.pi
 class Hopping(Value):
     """State of a walk over minima."""
 
-    q: Floats  # (n,) rad: Torsions of the minimum where it is.
-    energy: float  # kJ/mol: Of this minimum.
-    n_done: int  # n_done, n_accepted, n_evaluations: Hops, those accepted, and evaluations so far.
+    q: Floats  # (n,) rad: Torsions of the current minimum.
+    energy: float  # kJ/mol: Energy of the current minimum.
+    n_done: int  # n_done, n_accepted, n_evaluations: Hops, accepted hops, and evaluations so far.
     n_accepted: int
     n_evaluations: int
     size: float  # rad: Standard deviation of turns.
 
     @property
     def acceptance(self) -> float:
-        """Share of the hops that were accepted."""
+        """Share of accepted hops."""
         return self.n_accepted / max(self.n_done, 1)
 
 
@@ -41,13 +41,13 @@ class Hopping(Value):
 class Hops:
     """The method of hopping."""
 
-    temperature: float  # K: Of Metropolis' criterion.
+    temperature: float  # K: Temperature of Metropolis' criterion.
     seed: int  # seed, walker: Random numbers of a hop depend on these and its number alone.
     walker: int
     state = Hopping
 
     def begin(self, landscape: Landscape) -> tuple[Hopping, Finding]:
-        """Descend from the chain as it is."""
+        """Descend from the chain's coordinates."""
         end = landscape.minimise(landscape.chain.q0)
         state = Hopping(end.q, end.energy, 0, 0, end.n_evaluations, np.pi / 4)
         return state, Finding.minimum(end.q, end.energy, end.n_evaluations)
@@ -74,11 +74,11 @@ class Hops:
 
 
 def metropolis(rise: float, temperature: float, random: np.random.Generator) -> bool:
-    """Whether a rise in energy, kJ/mol, is accepted; a number is drawn in either case."""
+    """Whether a rise in energy, kJ/mol, is accepted. A number is drawn in both cases."""
     drawn = random.random()
     return bool(rise <= 0.0 or (temperature > 0.0 and drawn < np.exp(-rise / (MOLAR_GAS * temperature))))
 
 
 def _adapt(size: float, accepted: bool) -> float:
-    """Size of turns after one: its logarithm rests where the share wanted is accepted."""
+    """Size of turns after a turn. On average its logarithm is constant at the target acceptance."""
     return float(min(size * _FACTOR ** ((1.0 if accepted else 0.0) - _TARGET), _LARGEST))

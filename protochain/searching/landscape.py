@@ -1,4 +1,4 @@
-"""The energy of one chain over its torsions: descended, and sampled by hybrid Monte Carlo."""
+"""The energy of one chain over its torsions: minimisation, and sampling by hybrid Monte Carlo."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ TRAJECTORY_LENGTH = 20
 """Steps of a trajectory of hybrid Monte Carlo."""
 
 _MOST = 2000
-"""Evaluations of one descent; a tenth is usual from random torsions."""
+"""Limit of the evaluations of one descent. From random torsions a tenth is usual."""
 
 
 class DescentEnd(NamedTuple):
-    """Where a descent ended: torsions (n,), energy in kJ/mol, and the evaluations that it took."""
+    """End of a descent: torsions (n,), energy in kJ/mol, and number of evaluations."""
 
     q: Floats
     energy: float
@@ -55,26 +55,26 @@ class DescentEnd(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """Some trajectories of hybrid Monte Carlo."""
+    """Trajectories of hybrid Monte Carlo."""
 
-    q: Floats  # (n,) rad: At the end.
-    energies: Floats  # (k,) kJ/mol: After each, without Fixman's potential.
-    accepted: float  # Share of trajectories.
+    q: Floats  # (n,) rad: Torsions at the end.
+    energies: Floats  # (k,) kJ/mol: Energy after each trajectory, without Fixman's potential.
+    accepted: float  # Share of accepted trajectories.
     n_evaluations: int
 
 
 @dataclass(frozen=True, eq=False)
 class Landscape(Value):
-    """Energy of one chain over its torsions, whose root stays where it is.
+    """Energy of one chain over its torsions, with a fixed root.
 
-    A fixed root takes nothing away: the energy knows no place, and with Fixman's potential no mass.
+    The root may be fixed: the energy does not depend on position, nor with Fixman's potential on mass.
 
     Parameters
     ----------
     chain : Chain
-        Whose coordinates are its torsions and nothing else.
+        Chain whose only coordinates are its torsions.
     energy : Energy
-        With all terms.
+        Energy with all terms.
     restraints : Restraints, optional
         Added to the energy.
     """
@@ -90,8 +90,8 @@ class Landscape(Value):
         Raises
         ------
         ProtochainError
-            If there are several chains or molecules, whose places among each other are freedoms too, or if
-            the energy depends on the place.
+            If there are several chains or molecules, whose relative positions are degrees of freedom too, or
+            if the energy depends on the position.
         """
         name = chain.structure.name
         # ``auto`` fixes the root of one chain, and lets runs that begin at a minimum free it.
@@ -115,17 +115,17 @@ class Landscape(Value):
 
     @cached_property
     def moves(self) -> Moves:
-        """What its torsions allow."""
+        """Moves of the chain's torsions."""
         return Moves.of(self.chain)
 
     @cached_property
     def symmetry(self) -> Symmetry:
-        """Turns that only exchange equal atoms."""
+        """Turns that only exchange equivalent atoms."""
         return Symmetry.of(self.chain)
 
     @property
     def period(self) -> Floats:
-        """(n,) float, rad: turn of each torsion that only exchanges equal atoms."""
+        """(n,) float, rad: turn of each torsion that only exchanges equivalent atoms."""
         return self.symmetry.period
 
     def positions(self, q: Floats) -> Floats:
@@ -133,8 +133,8 @@ class Landscape(Value):
         return pose(self.chain, q).x
 
     def minimise(self, q: Floats, tolerance: float = 0.1) -> DescentEnd:
-        """Descend by L-BFGS to a largest torque, kJ/mol/rad, from torsions (n,), which may overlap."""
-        # Sums have an order that neighbour lists set: it must not depend on what was evaluated before.
+        """Descend by L-BFGS to a largest torque, kJ/mol/rad, from torsions (n,). Atoms may overlap."""
+        # Neighbour lists set the order of sums: it must not depend on earlier evaluations.
         self._varying.list_at(self.positions(q))
         problem = Problem(self._space, self._varying, _MOST, self.restraints)
         method = RECIPES["lbfgs"].runs[0].method
@@ -158,12 +158,12 @@ class Landscape(Value):
         Parameters
         ----------
         q : (n,) float, rad
-            Where to begin.
+            Start.
         temperature : float, K
         time_step : float, ps
         n_trajectories : int
         seed : int
-            Of their velocities and choices.
+            Seed of their velocities and choices.
         """
         self._varying.list_at(self.positions(q))
         kt, evaluations = MOLAR_GAS * temperature, [0]

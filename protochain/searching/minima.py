@@ -1,4 +1,4 @@
-"""Minima that a search found: which are the same, which are alike, and how free they are."""
+"""Minima of a search: equality, clusters, and free energies."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from protochain.chains.hinges import Hinge
 
 SAME_ENERGY, SAME_TORSION = 0.5, 0.2
-"""kJ/mol, and rad of the torsion that differs most, within which two minima are one: a descent ends where
-torques are 0.1 kJ/mol/rad, a hundredth of a radian from the minimum along soft torsions, and rings that turn
-by half are not quite symmetrical."""
+"""Tolerances of equal minima: kJ/mol, and rad of the torsion that differs most. Descents end at torques of
+0.1 kJ/mol/rad, a hundredth of a radian from the minimum along soft torsions. Rings are not exactly
+symmetric under half turns."""
 
 ALIKE = 1.0
-"""angstrom. C-alpha RMSD at which clusters are cut, on average over their pairs."""
+"""angstrom. C-alpha RMSD at which average linkage cuts clusters."""
 
 HALF_TURNS = {("PHE", "chi2"), ("ASP", "chi2"), ("GLU", "chi3"), ("ARG", "chi5")}
-"""Torsions whose half turn exchanges equal atoms."""
+"""Torsions whose half turn exchanges equivalent atoms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Symmetry(Value):
     """Turns of the torsions of a chain that only exchange atoms of one element in a symmetric group."""
 
-    period: Floats  # (n,) rad: Turn of each coordinate alone.
-    paired: Integers  # (k, 2): Coordinates whose half turns together exchange equal atoms, as of tyrosine.
+    period: Floats  # (n,) rad: Turn of each single coordinate.
+    paired: Integers  # (k, 2): Coordinates whose joint half turns exchange equivalent atoms, as in tyrosine.
 
     @classmethod
     def of(cls, chain: Chain) -> Symmetry:
@@ -53,7 +53,7 @@ class Symmetry(Value):
             if sum(structure.atom_element[k] == "H" for k in near) == 3:
                 period[coordinate] = 2.0 * np.pi / 3.0
             if (hinge.residue_name, hinge.kind) == ("TYR", "chi2"):
-                # The ring is symmetric if its hydroxyl turns along, or lost its hydrogen.
+                # The ring is symmetric if its hydroxyl turns too, or has no hydrogen.
                 if "HH" not in residue:
                     period[coordinate] = np.pi
                 elif residue["CZ"] in rotors:
@@ -61,11 +61,11 @@ class Symmetry(Value):
         return cls(period, np.array(paired, dtype=np.int64).reshape(-1, 2))
 
     def farthest(self, q: Floats, q_other: Floats) -> Floats:
-        """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
+        """Largest difference, rad, of a torsion of q (..., n) and q_other (..., n)."""
         return np.asarray(np.max(self._differences(q, q_other), axis=-1))
 
     def distance(self, q: Floats, q_other: Floats) -> Floats:
-        """Sum of the differences, rad, of all torsions; q (..., n) and other (..., n)."""
+        """Sum of the differences, rad, of all torsions of q (..., n) and q_other (..., n)."""
         return np.asarray(np.sum(self._differences(q, q_other), axis=-1))
 
     def _differences(self, q: Floats, q_other: Floats) -> Floats:
@@ -93,7 +93,7 @@ def _is_acid(hinge: Hinge, residue: dict[str, int]) -> bool:
 
 
 def unique(q: Floats, energy: Floats, symmetry: Symmetry) -> Integers:
-    """Which minima differ from all lower ones, the lowest first."""
+    """Indices of the minima that differ from all lower minima, the lowest first."""
     # q (m, n) rad, energy (m,) kJ/mol -> (k,) int.
     distinct: list[int] = []
     first = 0
@@ -109,8 +109,8 @@ def unique(q: Floats, energy: Floats, symmetry: Symmetry) -> Integers:
 
 
 def clusters(positions: Sequence[Floats]) -> Integers:
-    """Cluster, from 1, of each of m sets of C-alphas (n, 3), nm, in order of the first in it."""
-    # By average linkage over the RMSD of pairs, superposed.
+    """Cluster, from 1, of each of m sets of C-alphas (n, 3), nm, in the order of first members."""
+    # Average linkage over the RMSD of superposed pairs.
     if len(positions) < 2:
         return np.ones(len(positions), dtype=np.int64)
     labels, _ = cluster_distances(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
@@ -120,7 +120,7 @@ def clusters(positions: Sequence[Floats]) -> Integers:
 
 
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
-    """Free energy of a minimum in the harmonic way, kJ/mol."""
+    """Harmonic free energy of a minimum, kJ/mol."""
     # energy kJ/mol, hessian (n, n) kJ/mol/rad^2, temperature K.
     kt = MOLAR_GAS * temperature
     sign, log_det = np.linalg.slogdet(hessian / (2.0 * np.pi * kt))

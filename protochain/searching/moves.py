@@ -1,4 +1,4 @@
-"""Moves in torsions that lead from one minimum towards another."""
+"""Moves in torsions from a minimum towards others."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
 from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
 
 JITTER = np.deg2rad(10.0)
-"""Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
+"""Standard deviation of a side chain's dihedral about its rotamer's, about the width of their peaks."""
 NONE = -1
 WEIGHTS = {"backbone": 0.5, "rotamer": 0.3, "crankshaft": 0.2, "turn": 0.1}
-"""How often each kind of move is tried, of those that a chain has."""
+"""Weight of each kind of move, normalised over the kinds that a chain has."""
 CROSSINGS = {"part": 0.4, "stretch": 0.4, "few": 0.2}
-"""How often each kind of crossing is tried."""
+"""Probability of each kind of crossing."""
 _FEW = 5
 
 T = TypeVar("T")
@@ -32,12 +32,12 @@ class Residue:
 
     name: str
     kind: int  # Index of its class in ``ramachandran.CLASSES``.
-    mirror: float  # 1, or -1 of a D-amino acid.
-    phi: int = NONE  # phi, psi: ``NONE`` where it does not turn.
+    mirror: float  # 1, or -1 for a D-amino acid.
+    phi: int = NONE  # phi, psi: ``NONE`` if the torsion does not turn.
     psi: int = NONE
     chi: tuple[int, ...] = ()  # From chi1 outwards, as far as they turn.
-    is_first: bool = False  # Whether it has no phi, as nothing is before it.
-    is_last: bool = False  # Whether psi is that of a carboxylate, by its first oxygen.
+    is_first: bool = False  # Whether it is first in the chain, and so has no phi.
+    is_last: bool = False  # Whether psi is a carboxylate's, by its first oxygen.
 
     @property
     def backbone(self) -> list[int]:
@@ -47,9 +47,9 @@ class Residue:
 
 @dataclass(frozen=True, eq=False)
 class Moves(Value):
-    """What a chain's torsions allow."""
+    """Moves of a chain's torsions."""
 
-    residues: tuple[Residue, ...]  # Those of which anything turns, in the order of the sequence.
+    residues: tuple[Residue, ...]  # Residues with turning torsions, in the order of the sequence.
     # Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
     flips: tuple[tuple[int, int], ...]
     other_hinges: tuple[int, ...]  # Coordinates of all hinges that are neither phi, psi nor chi.
@@ -90,7 +90,7 @@ class Moves(Value):
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """Moves that the chain has."""
+        """Kinds of moves that the chain has."""
         by_kind = {
             "backbone": self.with_backbone,
             "rotamer": self.with_chi,
@@ -101,7 +101,7 @@ class Moves(Value):
 
     @cached_property
     def parts(self) -> tuple[list[int], ...]:
-        """Coordinates that go together: of the backbone of a residue, of its side chain, of another hinge."""
+        """Groups of coordinates: the backbone of a residue, its side chain, or another hinge."""
         coordinates = [part for residue in self.residues for part in (residue.backbone, list(residue.chi))]
         return *(part for part in coordinates if part), *([k] for k in self.other_hinges)
 
@@ -117,15 +117,15 @@ class Moves(Value):
 
 
 def draw_kind(moves: Moves, random: np.random.Generator) -> str:
-    """Draw a kind of move, of those that the chain has."""
+    """Draw a kind of move of the chain."""
     weights = np.array([WEIGHTS[kind] for kind in moves.kinds])
     return moves.kinds[int(random.choice(len(weights), p=weights / weights.sum()))]
 
 
 def cross_over(moves: Moves, q: Floats, q_other: Floats, random: np.random.Generator) -> Floats:
-    """Torsions (n,), rad, of which some are those of another minimum; q, other (n,) rad."""
-    # Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up
-    # to five hinges random_torsions.
+    """Torsions (n,), rad, with some of q (n,) replaced by torsions of another minimum, q_other (n,)."""
+    # Replace the backbone or the side chain of one residue, a stretch of up to half of all residues, or up
+    # to five random hinges.
     kind = random.choice(list(CROSSINGS), p=list(CROSSINGS.values()))
     if kind == "part":
         where = _one(moves.parts, random)
@@ -142,7 +142,7 @@ def cross_over(moves: Moves, q: Floats, q_other: Floats, random: np.random.Gener
 
 
 def apply_move(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:
-    """Torsions (n,) after a move of this kind at a place drawn at random: q (n,) rad, size rad."""
+    """Torsions (n,) after a move of this kind at a random residue or hinge: q (n,) rad, size rad."""
     q = q.copy()
     if kind == "backbone":
         _turn_backbone(q, _one(moves.with_backbone, random), random)
@@ -160,7 +160,7 @@ def apply_move(moves: Moves, kind: str, q: Floats, size: float, random: np.rando
 
 
 def random_torsions(moves: Moves, n: int, random: np.random.Generator) -> Floats:
-    """Torsions (n,), rad: of each residue by itself as a move draws them, of other hinges any."""
+    """Torsions (n,), rad: drawn for each residue as in moves, uniform for other hinges."""
     q = random.uniform(-np.pi, np.pi, n)
     for residue in moves.residues:
         _turn_backbone(q, residue, random)
@@ -170,7 +170,7 @@ def random_torsions(moves: Moves, n: int, random: np.random.Generator) -> Floats
 
 
 def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, float]:
-    """Phi and psi, rad, from the favoured regions of a residue, drawn as often as their score says."""
+    """Phi and psi, rad, from the favoured regions of a residue, drawn in proportion to their score."""
     phi, psi, share = _favoured_points(residue.kind)
     at = int(np.searchsorted(share, random.random()))
     within = random.uniform(-1.0, 1.0, 2)
@@ -181,7 +181,7 @@ def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, floa
 
 
 def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floats:
-    """Dihedrals of a side chain, rad: a rotamer as often as it occurs at this phi and psi, and near it."""
+    """Dihedrals of a side chain, rad: a rotamer by its frequency at this phi and psi, with noise."""
     n = len(residue.chi)
     backbone_degrees = [
         usual if k == NONE else residue.mirror * float(np.rad2deg(q[k]))
@@ -196,7 +196,7 @@ def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floa
 
 @cache
 def _favoured_points(kind: int) -> tuple[Floats, Floats, Floats]:
-    """Phi and psi of the favoured points of a class, degrees, and their shares added up."""
+    """Phi and psi of the favoured points of a class, degrees, and their cumulative shares."""
     table = tables()[kind]
     i, j = np.nonzero(table >= FAVOURED)
     share = np.cumsum(table[i, j])
@@ -210,7 +210,7 @@ def _turn_backbone(q: Floats, residue: Residue, random: np.random.Generator) -> 
 
 
 def _class(name: str, after: str) -> int:
-    """Class of a residue, as of :func:`protochain.validation.ramachandran.ramachandran`; omega is trans."""
+    """Ramachandran class of a residue with trans omega, by the name of the next residue."""
     if name == "GLY":
         kind = "glycine"
     elif name == "PRO":

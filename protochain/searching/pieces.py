@@ -1,7 +1,7 @@
 """Pieces of a search: steps of one walker from one state to the next, in a process that may be killed.
 
-A step is a pure function of the state before it, and its random numbers depend on its number alone. So a
-piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
+A step is a pure function of the previous state, and its random numbers depend on its number alone. So lost
+pieces are repeated bit for bit, and the division into pieces does not change the result.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +21,9 @@ from protochain.core.interrupts import held_interrupts
 from protochain.searching.landscape import Landscape
 
 SECONDS = 5.0
-"""Length of a piece: what a kill may cost. Starting one takes a thousandth of it."""
+"""Length of a piece, and so the largest loss by a kill. Starting a piece costs a thousandth of it."""
 _STREAMS = 1 << 16
-"""Streams of random numbers that a walker has, one for each of its replicas and one for itself."""
+"""Streams of random numbers of a walker: one for each of its replicas and one for itself."""
 
 
 def stream(walker: int, replica: int = -1) -> int:
@@ -33,26 +33,26 @@ def stream(walker: int, replica: int = -1) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Finding(Value):
-    """What steps of a walker found."""
+    """Minima and samples of a walker's steps."""
 
-    # (m, n + 2): Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
+    # (m, n + 2): For each descent: evaluations of the walker so far, energy in kJ/mol, torsions.
     minima: Floats
-    # (k, r, n + 1): Of each round of replicas: energy in kJ/mol and torsions at each temperature.
+    # (k, r, n + 1): For each round of replicas: energy in kJ/mol and torsions at each temperature.
     samples: Floats
 
     @classmethod
     def empty(cls, n: int, r: int = 0) -> "Finding":
-        """Nothing, of n torsions and r replicas."""
+        """Empty finding of n torsions and r replicas."""
         return cls(np.empty((0, n + 2)), np.empty((0, r, n + 1)))
 
     @classmethod
     def minimum(cls, q: Floats, energy: float, n_evaluations: int, r: int = 0) -> "Finding":
-        """One minimum."""
+        """Finding with one minimum."""
         return cls(np.array([[n_evaluations, energy, *q]]), np.empty((0, r, len(q) + 1)))
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Finding]") -> "Finding":
-        """One after the other."""
+        """Join findings in their order."""
         return cls(
             read_only(np.concatenate([part.minima for part in parts])),
             read_only(np.concatenate([part.samples for part in parts])),
@@ -60,7 +60,7 @@ class Finding(Value):
 
 
 class Method(Protocol):
-    """A way to search, of one walker: pure functions of a landscape and a state."""
+    """Method of search of one walker: pure functions of a landscape and a state."""
 
     @property
     def state(self) -> type:
@@ -76,11 +76,11 @@ class Method(Protocol):
 def advance(
     landscape: Landscape, method: Method, state: Any | None, budget: float, seconds: float = SECONDS
 ) -> tuple[Any | None, Finding]:
-    """Take steps, at least one, until the time or the evaluations of the walker are spent."""
-    # What an interrupt has cut short is not a step; the state before it stands.
+    """Run steps, at least one, until the time or the evaluations of the walker are spent."""
+    # A step that is interrupted does not count: the state before it is returned.
     began, findings = perf_counter(), list[Finding]()
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
-        # At least one: a step may take longer than a piece.
+        # A step may be longer than a piece.
         while state is None or (
             state.n_evaluations < budget and not (findings and perf_counter() - began >= seconds)
         ):
@@ -94,7 +94,7 @@ def advance(
 
 @dataclass(frozen=True, eq=False)
 class PieceEnd(Value):
-    """A piece as its process sends it; ``message`` says why there is none."""
+    """Result of a piece from its process. ``message`` is the reason if there is none."""
 
     walker: int
     state: Any | None
@@ -108,24 +108,24 @@ class Piece(Value):
 
     task: Path  # Pickled landscape and methods of all walkers.
     walker: int
-    state: Any | None  # Where it begins; None at the start.
-    budget: float  # Evaluations of the walker in all.
-    seconds: float = SECONDS  # After which it takes no further step.
+    state: Any | None  # Initial state of the piece, None at the start of the walk.
+    budget: float  # Total evaluations of the walker.
+    seconds: float = SECONDS  # Time after which no further step begins.
 
     def run(self, threads: int) -> Iterator[PieceEnd]:
-        """Do it, on one thread."""
+        """Run the piece on one thread."""
         landscape, methods = load_shared(self.task)
         yield PieceEnd(
             self.walker, *advance(landscape, methods[self.walker], self.state, self.budget, self.seconds)
         )
 
     def lost(self, results: Sequence[PieceEnd], status: str, message: str, seconds: float) -> list[PieceEnd]:
-        """Say why there is no more of it."""
+        """Report why the piece has no result."""
         return [] if results else [PieceEnd(self.walker, self.state, None, message)]
 
 
 def write_piece(path: Path, state: Any, finding: Finding, settings: Mapping[str, Any]) -> None:
-    """Write the state after a piece, and what it found, atomically."""
+    """Write the state after a piece, and its finding, atomically."""
     values = {name: getattr(state, name) for name in _names(state)}
     arrays = {f"state_{name}": value for name, value in values.items() if isinstance(value, np.ndarray)}
     numbers = {name: value for name, value in values.items() if not isinstance(value, np.ndarray)}
@@ -133,7 +133,7 @@ def write_piece(path: Path, state: Any, finding: Finding, settings: Mapping[str,
 
 
 def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
-    """Read a piece of a search with the same settings."""
+    """Read a piece, and check that the settings of its search are the same."""
     with checkpoint(path, settings, "search", "search again with ", Argument("force", True)) as stored:
         arrays = stored.arrays
         if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:

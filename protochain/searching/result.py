@@ -1,4 +1,4 @@
-"""Result of a search: the minima it found, and what replicas say of populations."""
+"""Result of a search: its minima, and populations from replicas."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 N_LISTED = 200
-"""Minima, the lowest, in tables: clusters take the RMSD of all their pairs."""
+"""Number of lowest minima in tables: clusters need the RMSD of all their pairs."""
 N_FREE_ENERGIES = 10
-"""Minima, the lowest, of which free energies are known: each takes a Hessian."""
+"""Number of lowest minima with free energies: each requires a Hessian."""
 N_NAMED = 12
-"""Conformers, the most frequent, in tables."""
+"""Number of most frequent conformers in tables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +47,15 @@ class Search(Value):
     landscape : Landscape
         Chain, with a fixed root, and energy.
     settings : SearchSettings
-        What defines it.
+        Settings of the search.
     states : tuple of State or None
-        Where each walk stands.
+        State of each walk.
     findings : tuple of Finding
-        What each walk found.
+        Findings of each walk.
     seconds : float
-        Of this run.
+        Wall time of this run.
     interrupted : bool
-        Whether it was stopped before evaluations or time were spent.
+        Whether the run was stopped before evaluations or time were spent.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Search(Value):
 
     @property
     def chain(self) -> Any:
-        """The chain whose hinges turned."""
+        """The chain of the search."""
         return self.landscape.chain
 
     @property
@@ -88,7 +88,7 @@ class Search(Value):
 
     @cached_property
     def _descents(self) -> tuple[Integers, Floats]:
-        """Walker of each descent, and all descents, a row each as in :class:`Finding`."""
+        """Walker of each descent, and a row for each descent as in :class:`Finding`."""
         walker = np.repeat(np.arange(len(self.findings)), [len(finding.minima) for finding in self.findings])
         return walker, np.concatenate([finding.minima for finding in self.findings])
 
@@ -114,7 +114,7 @@ class Search(Value):
 
     @property
     def n_walks_at_lowest(self) -> int:
-        """Walks that reached the lowest minimum: one of several has not shown that it is the lowest."""
+        """Number of walks that reached the lowest minimum. If only one did, it may not be the lowest."""
         walker, rows = self._descents
         alike = self.landscape.symmetry.farthest(rows[:, 2:], self.q[0]) <= SAME_TORSION
         return len(np.unique(walker[alike & (rows[:, 1] <= self.energy + SAME_ENERGY)]))
@@ -140,11 +140,11 @@ class Search(Value):
 
     @cached_property
     def minima(self) -> pd.DataFrame:
-        """The lowest minima, a row each, with their clusters and harmonic free energies.
+        """Table of the lowest minima, with their clusters and harmonic free energies.
 
-        ``free_energy_kj_mol`` is of stiff bonds, as Fixman's potential samples them, at the lowest
-        temperature of the search, ``free_energy_rigid_kj_mol`` of rigid bonds, whose masses matter; both
-        from the lowest minimum, and only of the few lowest.
+        At the lowest temperature of the search, ``free_energy_kj_mol`` is for stiff bonds, as sampled with
+        Fixman's potential, and ``free_energy_rigid_kj_mol`` for rigid bonds, which depends on masses. Both
+        are relative to the lowest minimum, for only a few of the lowest minima.
         """
         import pandas as pd
 
@@ -174,7 +174,7 @@ class Search(Value):
         )
 
     def _free(self, q: Floats, energy: float) -> tuple[float, float]:
-        """Free energies with stiff and with rigid bonds, kJ/mol; NaN with restraints."""
+        """Free energies with stiff and with rigid bonds, kJ/mol, NaN with restraints."""
         if self.landscape.restraints:
             return np.nan, np.nan
         chain, temperature = self.chain, self.settings.temperatures[0]
@@ -185,7 +185,7 @@ class Search(Value):
 
     @cached_property
     def _sampling(self) -> list[tuple[Any, Floats]]:
-        """State and samples (k, r, n + 1) of each walk of replicas that has any; others are in the pilot."""
+        """State and samples (k, r, n + 1) of each walk of replicas after the pilot."""
         walks = zip(self.states, self.findings, strict=True)
         return [(state, finding.samples) for state, finding in walks if len(finding.samples) > 1 / WARM_UP]
 
@@ -195,15 +195,15 @@ class Search(Value):
 
     @property
     def temperatures(self) -> Floats:
-        """(r,) float, K: where the pilot has placed the replicas; empty without any."""
+        """(r,) float, K: temperatures of the replicas from the pilot, empty without replicas."""
         return self._sampling[0][0].temperatures if self._sampling else np.empty(0)
 
     @cached_property
     def populations(self) -> pd.DataFrame:
-        """Of tempering, a row for each temperature: means and their standard errors, by blocks of all walks.
+        """Means by temperature from tempering, with standard errors from blocks of all walks.
 
-        ``exchanges`` is the mean probability of exchanges with the next temperature; ``slope`` that of the
-        energy histograms of the two, relative to the canonical one, and ``slope_error`` its standard error.
+        ``exchanges`` is the mean probability of exchanges with the next temperature. ``slope`` is the slope
+        of the energy histograms of the two, relative to the canonical slope, with ``slope_error``.
         """
         import pandas as pd
 
@@ -233,7 +233,7 @@ class Search(Value):
 
     @cached_property
     def conformers(self) -> pd.DataFrame:
-        """Of tempering, a row for each temperature and conformer: its share with the standard error."""
+        """Share of each conformer by temperature from tempering, with the standard error."""
         import pandas as pd
 
         if not self._samples:
@@ -249,19 +249,19 @@ class Search(Value):
         return pd.DataFrame(rows, columns=["temperature_k", "conformer", "share", "share_error"])
 
     def _slope(self, k: int) -> tuple[float, float]:
-        """Slope of the histograms at a temperature and the next over the canonical one, and its error."""
+        """Slope of the histograms at two temperatures relative to the canonical slope, and its error."""
         pairs = [drop_warm_up(samples)[:, k : k + 2, 0] for samples in self._samples]
         beta = 1.0 / (MOLAR_GAS * self.temperatures[[k, k + 1]])
         canonical = float(beta[0] - beta[1])
         parts = [part for pair in pairs for part in blocks_of(pair)]
-        # Each block left out in turn.
+        # Jackknife over blocks.
         n = len(parts)
         without = [slope(*np.concatenate(parts[:i] + parts[i + 1 :]).T) for i in range(n)]
         error = np.sqrt((n - 1) * np.var(without)) if n > 1 else np.nan
         return slope(*np.concatenate(pairs).T) / canonical, float(error) / canonical
 
     def record(self) -> dict[str, Any]:
-        """Flat record, as written to ``summary.json``."""
+        """Flat record of ``summary.json``."""
         from protochain.results.provenance import of_run
 
         states = [state for state in self.states if state is not None]

@@ -1,4 +1,4 @@
-"""``search``: the way down to low minima, by pieces in processes, from settings to a folder and a result."""
+"""``search``: search for low minima by pieces in processes, from settings to a folder and a result."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ from protochain.searching.search_settings import SearchRunSettings, SearchSettin
 from protochain.searching.tempering import Replicas
 
 _ATTEMPTS = 5
-"""At a piece whose process ends: memory that ran out may be there the next time."""
+"""Attempts at a piece whose process ends: more memory may be available the next time."""
 _POLL = 0.2
-"""s between looks whether there was an interrupt."""
+"""s between checks for interrupts."""
 _LONG = 600.0
-"""s. Time for a piece, of which a single step may take long."""
+"""s. Time limit of a piece, whose single steps may be long."""
 
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """How far a search is.
+    """Progress of a search.
 
     Parameters
     ----------
     evaluations : int
-        So far, of all walkers.
+        Evaluations of all walkers so far.
     budget : float
-        In all; infinite where only the time ends it.
+        Total evaluations, infinite if only the time is limited.
     share : float
-        Of evaluations or of time that is done, whichever is more.
+        Spent share of the evaluations or of the time, whichever is larger.
     lowest : float, kJ/mol
-        Lowest energy found so far.
+        Lowest energy so far.
     acceptance : float
-        Mean over walkers.
+        Mean acceptance over walkers.
     """
 
     evaluations: int
@@ -99,23 +99,23 @@ def search(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        One chain by itself, of which all walks begin; :func:`protochain.from_sequence` makes one.
+        A single chain at which all walks begin. :func:`protochain.from_sequence` builds one.
     energy : Energy, optional
         As in :func:`protochain.minimise`.
     output : path-like, optional
-        Folder for pieces, from which the search can go on, tables, structures, ``summary.json`` and
+        Folder for pieces, with which the search can be resumed, tables, structures, ``summary.json`` and
         ``report.html``.
     workers : int, optional
-        Processes of one thread each. By default all is done in this one.
+        Number of processes of one thread. By default the search runs in this process.
     scheduler : str, optional
-        Address of a Dask cluster to use instead, as of :func:`protochain.batch`.
+        Address of a Dask cluster to use instead, as in :func:`protochain.batch`.
     watch : callable, optional
         Called with a :class:`SearchProgress` after every piece.
 
     Returns
     -------
     Search
-        Also after an interrupt: with all pieces that are complete.
+        Minima and samples. After an interrupt it contains all complete pieces.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def _pieces(folder: Path, walker: str = "*") -> Iterator[Path]:
 
 
 class _Walks:
-    """States of all walkers and what they found, in memory and, piece by piece, in a folder."""
+    """States and findings of all walkers, in memory and, piece by piece, in a folder."""
 
     def __init__(
         self, landscape: Landscape, settings: SearchSettings, folder: Path | None, running: SearchRunSettings
@@ -230,7 +230,7 @@ class _Walks:
         return folder / "pieces" / f"walker-{walker}" / f"{number:06d}.npz"
 
     def take(self, walker: int, state: Any, finding: Finding) -> None:
-        """Keep a piece; what is on the disk is complete."""
+        """Store a piece. Files on the disk are always complete."""
         if state is None or state is self.states[walker]:
             return
         if self.folder is not None:
@@ -241,7 +241,7 @@ class _Walks:
 
     @property
     def have_begun(self) -> bool:
-        """Whether there is anything to tell of."""
+        """Whether any walk has a state."""
         return any(state is not None for state in self.states)
 
     def wants(self, walker: int, budget: float) -> bool:
@@ -250,7 +250,7 @@ class _Walks:
         return state is None or state.n_evaluations < budget
 
     def progress(self, budget: float, share_of_time: float) -> SearchProgress:
-        """How far all of them are."""
+        """Progress of all walks."""
         states = [state for state in self.states if state is not None]
         evaluations = sum(state.n_evaluations for state in states)
         energies = [piece.minima[:, 1].min() for walk in self.findings for piece in walk if len(piece.minima)]
@@ -266,7 +266,7 @@ def _work(
     processes: Processes | None,
     watch: Callable[[SearchProgress], None] | None,
 ) -> bool:
-    """Do pieces until evaluations or time are spent; return whether it was interrupted."""
+    """Run pieces until evaluations or time are spent. Return whether there was an interrupt."""
     began, seconds = perf_counter(), 3600.0 * running.hours if running.hours else float("inf")
     share = running.budget / len(walks.states)
 
@@ -307,7 +307,7 @@ def _hand_out(
     take: Callable[[int, Any, Finding], None],
     interrupts: Sequence[int],
 ) -> bool:
-    """Let processes do the pieces, of each walker one after the other; return whether it was interrupted."""
+    """Run the pieces of each walker in turn in processes. Return whether there was an interrupt."""
     idle = {*range(len(walks.states))}
     failures = [0] * len(walks.states)
     while True:

@@ -1,4 +1,4 @@
-"""Settings of a search, as the call and the command share them."""
+"""Settings of a search, for the call and the command."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ METHODS = ("csa", "hopping", "tempering")
 
 _LOWEST, _HIGHEST = 1.0, 1e5
 _MOST = 10_000
-"""Walks, and replicas of each, which have random numbers of their own."""
+"""Limit of walks, and of replicas of each walk. Each has its own random numbers."""
 
 
 def _up_to_most(least: int) -> Check:
@@ -23,7 +23,7 @@ def _up_to_most(least: int) -> Check:
 
 
 def interval(value: Any, name: str) -> tuple[float, float]:
-    """Return two temperatures, K, the lower first, also of a text ``300-600``."""
+    """Return two temperatures, K, the lower first, from numbers or a text such as ``300-600``."""
     parts = value.split("-") if isinstance(value, str) else plain(value, "kelvin", name)
     try:
         low, high = (float(part) for part in parts)
@@ -36,7 +36,7 @@ def interval(value: Any, name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings(Settings):
-    """Settings that define a search; for the meanings see :func:`protochain.search`."""
+    """Settings that define a search, documented in :func:`protochain.search`."""
 
     method: str = setting(
         defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", one_of(METHODS),
@@ -90,7 +90,7 @@ class SearchSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SearchRunSettings(Settings):
-    """How long a search goes on, and what is in its folder; another run may continue it with others."""
+    """Length of a search, and use of its folder. Another run may continue it with other values."""
 
     evaluations: int | None = setting(
         None,
@@ -118,7 +118,7 @@ class SearchRunSettings(Settings):
 
     @property
     def budget(self) -> float:
-        """Evaluations in all."""
+        """Total evaluations."""
         if self.evaluations is not None:
             return self.evaluations
         return defaults.SEARCH_EVALUATIONS if self.hours is None else math.inf

@@ -1,8 +1,8 @@
 """Tempering: replica exchange of hybrid Monte Carlo in torsions, with Fixman's potential.
 
-Each replica samples exp(-E/kT) of its temperature; neighbours exchange their torsions by Metropolis'
-criterion (Swendsen, Wang, Phys. Rev. Lett. 57:2607, 1986; Sugita, Okamoto, Chem. Phys. Lett. 314:141, 1999).
-Fixman's term is kT times the same function of the torsions at every temperature: it cancels there.
+Each replica samples exp(-E/kT) at its temperature. Neighbours exchange their torsions by Metropolis'
+criterion (Swendsen, Wang, Phys. Rev. Lett. 57:2607, 1986, and Sugita, Okamoto, Chem. Phys. Lett. 314:141,
+1999). Fixman's term cancels there, as it is kT times the same function of the torsions at every temperature.
 """
 
 from dataclasses import dataclass, replace
@@ -18,12 +18,12 @@ from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import Finding, stream
 
 STAGES = 3
-"""Of the pilot: after each but the last temperatures are placed anew; then they stay. Every walker does the
-same pilot, so that all have the same temperatures and none waits for others."""
+"""Stages of the pilot. The temperatures are adapted after each stage but the last. Every walker runs the same
+pilot, so that all have the same temperatures and none waits for others."""
 QUENCHED = 5
-"""Rounds from one descent to the next, which begins at each temperature in turn."""
+"""Rounds between descents, which begin at each temperature in turn."""
 TARGET = 0.8
-"""Share of trajectories that is accepted with the time step at which a pilot ends."""
+"""Acceptance of trajectories to which the pilot adapts the time steps."""
 _GAIN = 0.1
 _STEPS = 0.002, 0.04
 """Shortest and longest time step, ps."""
@@ -38,14 +38,14 @@ class Tempering(Value):
     temperatures: Floats  # (r,) K.
     time_steps: Floats  # (r,) ps.
     replica: Floats  # (r,): Number of the replica at each temperature.
-    # (r,): Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
+    # (r,): For each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
     heading: Floats
-    # (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be exchange.
+    # (r - 1,): Sum over rounds since the last adaptation of the exchange probability of neighbours.
     odds: Floats
-    accepted: float  # Sum over these rounds of the share of trajectories that was accepted.
-    n_counted: int  # These rounds.
-    # n_done, n_evaluations, n_trips: Rounds, evaluations, and ways of a replica from the lowest temperature
-    # to the highest and back.
+    accepted: float  # Sum over these rounds of the share of accepted trajectories.
+    n_counted: int  # Number of these rounds.
+    # n_done, n_evaluations, n_trips: Rounds, evaluations, and round trips of replicas from the lowest
+    # temperature to the highest and back.
     n_done: int
     n_evaluations: int
     n_trips: int
@@ -62,7 +62,7 @@ class Replicas:
 
     temperatures: tuple[float, float]  # K: Lowest and highest.
     n_replicas: int
-    pilot: int  # Rounds in which the temperatures are placed.
+    pilot: int  # Rounds in which the temperatures are adapted.
     seed: int  # seed, walker: Random numbers of a round depend on these and its number alone.
     walker: int
     state = Tempering
@@ -80,7 +80,7 @@ class Replicas:
         return state, Finding.minimum(end.q, end.energy, end.n_evaluations, r)
 
     def step(self, landscape: Landscape, state: Tempering) -> tuple[Tempering, Finding]:
-        """Let every replica move by a trajectory, then exchange neighbours, every other pair in turn."""
+        """Move every replica by a trajectory, then exchange neighbours, even and odd pairs in turn."""
         number, r = state.n_done + 1, self.n_replicas
         walker = 0 if number <= self.pilot else self.walker
         runs = [
@@ -123,7 +123,7 @@ class Replicas:
         return replace(after, n_evaluations=n_evaluations), Finding.concatenate([finding, minimum])
 
     def _adapt(self, state: Tempering, acceptances: Floats) -> Tempering:
-        """Follow the acceptance by the time steps; at the end of a stage place the temperatures anew."""
+        """Adapt the time steps to the acceptance, and at the end of a stage the temperatures."""
         steps = np.clip(state.time_steps * np.exp(_GAIN * (acceptances - TARGET)), *_STEPS)
         state = replace(state, time_steps=read_only(steps))
         if state.n_done not in [self.pilot * k // STAGES for k in range(1, STAGES + 1)]:
@@ -144,8 +144,8 @@ def exchange(
     energy: Floats, temperatures: Floats, first: int, random: np.random.Generator
 ) -> tuple[np.ndarray, Floats]:
     """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ..."""
-    # energy (r,) kJ/mol, temperatures (r,) K -> (r,) int: Which torsions each temperature has afterwards ->
-    # (r - 1,): Probability with which each pair would be exchange, also of those that are not tried.
+    # energy (r,) kJ/mol, temperatures (r,) K -> (r,) int: new order of the torsions by temperature,
+    # (r - 1,): exchange probability of each pair, also of pairs that are not tried.
     beta = 1.0 / (MOLAR_GAS * temperatures)
     order = np.arange(len(energy))
     odds = np.exp(np.minimum(0.0, np.diff(beta) * np.diff(energy)))
@@ -156,7 +156,7 @@ def exchange(
 
 
 def update_headings(heading: Floats, replica: Floats) -> tuple[Floats, int]:
-    """Note which replicas are at the ends; return also how many came back to the lowest temperature."""
+    """Update headings at the end temperatures, and return the number of completed round trips."""
     heading = heading.copy()
     lowest, highest = int(replica[0]), int(replica[-1])
     trips = int(heading[lowest] < 0.0)
