@@ -1,4 +1,4 @@
-"""Residues of a file and the chains that they form: split at breaks, joined where their ends are bonded."""
+"""Residues of a file and their chains, which are split at breaks and joined at bonded ends."""
 
 import sys
 from collections import Counter
@@ -36,11 +36,11 @@ from protochain.structure.preparation.structure_draft import Candidate, Changes,
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
 PEPTIDE_TORN = 3.0
-"""Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
-two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
-_UPON, _BESIDE, _FAR = 0.01, 2.0, 15.0
-"""Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second; the
-last from the middle of a residue is twice what an extended arginine has."""
+"""Angstrom: C and N of consecutive numbers are bonded up to this distance, as in models with distorted bonds.
+Chain ends are further apart: C and N that are not bonded touch at 3.25."""
+_COINCIDENT, _BONDED, _FAR = 0.01, 2.0, 15.0
+"""Angstrom: atoms closer than the first coincide, and bonded atoms are closer than the second. The last is
+twice the extent of an arginine from its centre."""
 SMALLEST_RING = 2
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -49,9 +49,9 @@ _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.Connec
 def read_bonds(draft: Draft) -> Changes:
     """Read the bonds between residues that the file states, by connections and by serial numbers."""
     images: list[residues.Atom] = []
-    for bond in (each for each in draft.file.connections if each.type in _BONDS):
+    for bond in (connection for connection in draft.file.connections if connection.type in _BONDS):
         ends = address_of(bond.partner1), address_of(bond.partner2)
-        # That of an atom on an axis is to its own image, whatever the file says.
+        # An atom on a symmetry axis is bonded to its own image, whatever the file states.
         if bond.asu == gemmi.Asu.Different or ends[0] == ends[1]:
             residue = residues.Residue(*ends[0][:2], bond.partner1.res_id.name)
             images.append(residues.Atom(ends[0][2], residue))
@@ -59,19 +59,19 @@ def read_bonds(draft: Draft) -> Changes:
             draft.stated.append(ends)
     if images:
         yield Repair.of(Kind.IMAGES, count=len(images), atoms=tuple(dict.fromkeys(images)))
-    draft.stated += _of_serials(draft.file, draft.model)
+    draft.stated += _serial_bonds(draft.file, draft.model)
 
 
-def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
-    """Bonds between residues that CONECT records state, by serial numbers."""
+def _serial_bonds(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
+    """Return the bonds between residues that CONECT records state by serial numbers."""
     bonds = {frozenset((a, b)) for a, partners in structure.conect_map.items() for b in partners if a != b}
-    wanted = {serial for bond in bonds for serial in bond}
-    places = [place for place in model.all() if place.atom.serial in wanted] if wanted else []
+    serials = {serial for bond in bonds for serial in bond}
+    places = [place for place in model.all() if place.atom.serial in serials] if serials else []
     count = Counter(place.atom.serial for place in places)
     at = {
         place.atom.serial: (place.chain.name.strip(), str(place.residue.seqid).strip(), place.atom.name)
         for place in places
-        # Of files with more atoms than numbers nothing can be said.
+        # Repeated serial numbers are ambiguous.
         if count[place.atom.serial] == 1
     }
     pairs = [sorted(bond) for bond in bonds if bond <= at.keys()]
@@ -79,47 +79,47 @@ def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Ad
 
 
 def split_chains(draft: Draft) -> Changes:
-    """Read the residues of the protein, in pieces without a break, and the molecules outside it."""
-    # Where the file states the bonds of a component, another name's atoms do not make it that.
+    """Read the residues of the protein, in unbroken pieces, and the hetero molecules."""
+    # The atoms of a component do not rename it if the file states its bonds.
     components = of_header(draft.header) if CATEGORY in draft.header else set[str]()
     components |= draft.reading.chemistry.moving
     for chain, places in draft.places.items():
         run: list[Member] = []
         for group, letter in places:
-            chosen = likeliest(group, letter)
-            called = named(
-                chosen.residue.name.strip().upper(), [*chosen.residue], draft.templates, components
+            conformer = likeliest(group, letter)
+            naming = named(
+                conformer.residue.name.strip().upper(), [*conformer.residue], draft.templates, components
             )
-            notes = _alternates(chain, chosen)
-            if called[0] in {*residues.CAPS, *residues.STANDARD} or archive_parent(called[0]):
+            notes = _report_altlocs(chain, conformer)
+            if naming[0] in {*residues.CAPS, *residues.STANDARD} or archive_parent(naming[0]):
                 yield from notes
-                if chosen.others:
-                    yield Omission("alternate locations", len(chosen.others))
-                elif chosen.repeated:
-                    yield Omission("repeated atoms", len(chosen.repeated))
+                if conformer.others:
+                    yield Omission("alternate locations", len(conformer.others))
+                elif conformer.repeated:
+                    yield Omission("repeated atoms", len(conformer.repeated))
                 notes = []
-            member, is_protein = yield from _read_residue(draft, chain, chosen.residue, *called)
+            member, is_protein = yield from _read_residue(draft, chain, conformer.residue, *naming)
             if is_protein:
                 run.append(member)
             else:
                 candidate = water_named(member, member.given)
                 draft.beside.append(Candidate(candidate, member.given, notes))
-        run = yield from _with_backbones(draft, chain, run)
+        run = yield from _complete_backbones(draft, chain, run)
         yield from report_unresolved(run)
-        yield from _split(draft, run)
+        yield from _split_at_breaks(draft, run)
 
 
-def _alternates(chain: str, chosen: Conformation) -> list[Repair]:
-    """Describe the choice among the alternate locations of a residue."""
-    if not (chosen.others or chosen.repeated):
+def _report_altlocs(chain: str, conformer: Conformation) -> list[Repair]:
+    """Report the choice among the alternate locations of a residue."""
+    if not (conformer.others or conformer.repeated):
         return []
-    residue = in_file(chain, chosen.residue)
-    if not chosen.others:
-        return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(chosen.repeated))]
+    residue = in_file(chain, conformer.residue)
+    if not conformer.others:
+        return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(conformer.repeated))]
     return [
         Repair.of(
-            Kind.ALTERNATES, residue=residue, used=chosen.altloc, occupancy=chosen.occupancy,
-            others=tuple(chosen.others),
+            Kind.ALTERNATES, residue=residue, used=conformer.altloc, occupancy=conformer.occupancy,
+            others=tuple(conformer.others),
         )
     ]  # fmt: skip
 
@@ -127,30 +127,30 @@ def _alternates(chain: str, chosen: Conformation) -> list[Repair]:
 def _read_residue(
     draft: Draft, chain: str, residue: gemmi.Residue, name: str, state: str
 ) -> Generator[Repair, None, tuple[Member, bool]]:
-    """Return a residue under its standard name, and whether it is of the protein."""
-    given, is_standard = residue.name.strip().upper(), name in residues.STANDARD
+    """Return a residue under its standard name, and whether it belongs to the protein."""
+    original, is_standard = residue.name.strip().upper(), name in residues.STANDARD
     if is_standard or name in residues.CAPS:
         for atom in residue:
             atom.element = _element(atom)
     atoms = [*residue]
-    if is_standard and (nowhere := _nowhere(atoms)):
-        atoms = [atom for atom in atoms if atom not in nowhere]
-        names = tuple(atom.name for atom in nowhere)
+    if is_standard and (misplaced := _misplaced_atoms(atoms)):
+        atoms = [atom for atom in atoms if atom not in misplaced]
+        names = tuple(atom.name for atom in misplaced)
         yield Repair.of(Kind.NO_PLACE, residue=in_file(chain, residue), atoms=names)
     if name in residues.NUCLEOTIDES:
         rename(atoms, draft.templates[name])
     has_backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
     for atom in atoms if has_backbone else ():
-        # Without columns of elements gemmi knows none for 1HB of a modified residue.
+        # Without element columns gemmi has no element for 1HB of a modified residue.
         atom.element = atom.element if atom.element.atomic_number else _element(atom)
     member = Member(
         name, str(residue.seqid.num), residue.seqid.icode.strip(), chain, atoms, state,
         is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
-        label=(residue.subchain, residue.label_seq), given=given,
+        label=(residue.subchain, residue.label_seq), given=original,
     )  # fmt: skip
-    by_atoms = is_standard and standard_name(given)[0] != name
+    by_atoms = is_standard and standard_name(original)[0] != name
     member.is_d = member.is_d or (by_atoms and handedness(member) < 0)
-    if state or by_atoms or (is_standard and given[-3:] in residues.LINKED):
+    if state or by_atoms or (is_standard and original[-3:] in residues.LINKED):
         kind = Kind.STATE_NAMED if state else Kind.RENAMED
         yield Repair.of(kind, residue=in_file(chain, residue), name=name, state=state)
     if name in residues.CAPS:
@@ -160,18 +160,18 @@ def _read_residue(
     # DGN: D-glutamine in the archive, a nucleoside in Amber's files. HIP with a phosphate is not Amber's.
     template = draft.templates.get(name) if name not in residues.STATE_PARENT else None
     if not (template and {*residues.BACKBONE} <= template.element.keys()):
-        # One without a parent may be a ligand, if it stands alone.
+        # A residue without a parent may be a ligand, if it is alone.
         member.source = Unknown(archive_parent(name))
         draft.orphans |= set() if member.parent else {id(member)}
     return member, True
 
 
-def _with_backbones(
+def _complete_backbones(
     draft: Draft, chain: str, run: list[Member]
 ) -> Generator[Repair | Omission, None, list[Member]]:
-    """Return the residues of a chain that have N, CA and C, some of which are built."""
-    there = [{atom.name for atom in member.atoms} for member in run]
-    lacking = [not {*residues.BACKBONE} <= names for names in there]
+    """Return the residues of a chain that have N, CA and C, also after building missing ones."""
+    atom_names = [{atom.name for atom in member.atoms} for member in run]
+    lacking = [not {*residues.BACKBONE} <= names for names in atom_names]
     built = [
         complete_backbone(run, i) if lacking[i] and member.name in residues.STANDARD else ()
         for i, member in enumerate(run)
@@ -183,7 +183,7 @@ def _with_backbones(
             "rebuild the others first, by PULCHRA or cg2all"
         )
     complete = []
-    for member, names, before in zip(run, built, there, strict=True):
+    for member, names, before in zip(run, built, atom_names, strict=True):
         missing = [] if member.is_cap else [name for name in residues.BACKBONE if name not in before]
         if missing and draft.reading.strict:
             raise StructureError(
@@ -201,8 +201,8 @@ def _with_backbones(
     return complete
 
 
-def _split(draft: Draft, run: list[Member]) -> Changes:
-    """Split a chain into pieces whose residues are bonded one after the other."""
+def _split_at_breaks(draft: Draft, run: list[Member]) -> Changes:
+    """Split a chain into pieces of consecutively bonded residues."""
     last: Member | None = None
     for member in run:
         gap = _gap(last, member) if last else np.inf
@@ -215,29 +215,29 @@ def _split(draft: Draft, run: list[Member]) -> Changes:
 
 
 def join_chains(draft: Draft) -> Changes:
-    """Join the pieces whose ends are bonded to chains, whatever their ids, numbers or order."""
+    """Join pieces with bonded ends to chains, whatever their ids, numbers or order."""
     following, before = _bonded_ends(draft, draft.runs)
     for i, (run, after) in enumerate(pairwise(draft.runs)):
-        is_one = run[-1].chain_id == after[0].chain_id and len(run) + len(after) > 2
-        if is_one and i not in following and i + 1 not in before:
-            yield from _break(draft, run[-1], after[0])
+        is_same_chain = run[-1].chain_id == after[0].chain_id and len(run) + len(after) > 2
+        if is_same_chain and i not in following and i + 1 not in before:
+            yield from _report_break(draft, run[-1], after[0])
     heads = [i for i in range(len(draft.runs)) if i not in before]
-    done: set[int] = set()
-    # What is left after all that begin somewhere is in rings.
+    visited: set[int] = set()
+    # The remaining pieces, none of which is a head, form rings.
     for head in (*heads, *range(len(draft.runs))):
         chain: list[Member] = []
-        at: int | None = head
-        while at is not None and at not in done:
-            done.add(at)
-            chain += draft.runs[at]
-            at = following.get(at)
+        piece: int | None = head
+        while piece is not None and piece not in visited:
+            visited.add(piece)
+            chain += draft.runs[piece]
+            piece = following.get(piece)
         for last, first in pairwise(chain):
             if last.chain_id != first.chain_id:
                 yield Repair.of(Kind.CHAIN_GOES_ON, last=last.residue, first=first.residue)
         yield from _add_chain(draft, chain)
 
 
-def _break(draft: Draft, last: Member, first: Member) -> Changes:
+def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
     """Report a chain break, unless the file has termini there."""
     gap = _gap(last, first)
     if last.atom("OXT") or last.is_cap or first.is_cap or {id(last), id(first)} & draft.orphans:
@@ -252,13 +252,13 @@ def _break(draft: Draft, last: Member, first: Member) -> Changes:
 
 
 def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
-    """Add an unbroken chain, or leave out a single residue."""
+    """Add an unbroken chain to the protein, or a single residue to the hetero molecules."""
     n, members = len(chain), list[Member]()
     for i, member in enumerate(chain):
         if not member.is_cap or (n > 1 and (i == 0 if member.name == "ACE" else i == n - 1)):
             members.append(member)
         elif any(member.address(a.name) in ends for ends in draft.stated for a in member.heavy):
-            # Bonded elsewhere than at the end of a chain, it is a molecule as any other.
+            # A cap with stated bonds, but not at the end of a chain, is a hetero molecule.
             draft.beside.append(Candidate(member, member.name))
         else:
             lost = losses(member, member.atoms, Why.CAP)
@@ -274,62 +274,62 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
         last, first = members[-1], members[0]
         part.cyclic = len(members) >= SMALLEST_RING and _gap(last, first) < PEPTIDE_BREAK
         for i, member in enumerate(members):
-            if why := _why_converted(draft, part, i):
-                yield from convert_to_parent(draft, member, why)
+            if reason := _conversion_reason(draft, part, i):
+                yield from convert_to_parent(draft, member, reason)
         if part.cyclic and not draft.has_bond(last.address("C"), first.address("N")):
             yield Repair.of(Kind.CYCLIC, last=last.residue, first=first.residue)
         draft.parts.append(part)
 
 
-def _why_converted(draft: Draft, part: Part, i: int) -> Why | None:
-    """Why a modified residue of a chain becomes its standard parent, if it does."""
+def _conversion_reason(draft: Draft, part: Part, i: int) -> Why | None:
+    """Return the reason why a modified residue of a chain becomes its standard parent, or None."""
     member = part.members[i]
     if not member.parent and member.name not in residues.PHOSPHORYLATED:
         return None
     if draft.reading.standard_residues:
         return Why.ASKED
-    there = {atom.name for atom in member.heavy} - {"OXT"}
+    heavy_names = {atom.name for atom in member.heavy} - {"OXT"}
     if member.parent:
         member.is_d = member.is_d or handedness(member, least=WELL_FORMED) < 0
-        is_mirrored = member.is_d and there == {*draft.templates[fullest(member.parent)].heavy}
+        is_mirrored = member.is_d and heavy_names == {*draft.templates[fullest(member.parent)].heavy}
         return Why.PARENT if member.name == "MSE" or is_mirrored else None
     template = part.template(draft.templates, i)
     if template is None:
         return Why.END
-    is_complete = {template.synonyms.get(name, name) for name in there} - {"OXT"} == {*template.heavy}
+    is_complete = {template.synonyms.get(name, name) for name in heavy_names} - {"OXT"} == {*template.heavy}
     return None if is_complete else Why.INCOMPLETE
 
 
 def add_poses(draft: Draft) -> tuple[()]:
-    """Add the molecules that the user gives with coordinates; order those outside the protein."""
-    # As in a file written of it, where chains are whole: protein chains come first.
+    """Add the user's molecules with coordinates, and order the hetero molecules."""
+    # As in written files, protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     order += [chain.name for chain in draft.model if chain.name not in order]
-    draft.beside.sort(key=lambda each: order.index(each.member.chain_id))
+    draft.beside.sort(key=lambda candidate: order.index(candidate.member.chain_id))
     chemistry = draft.reading.chemistry
     for path in chemistry.poses:
-        used = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in draft.beside))}
-        names = {*chemistry.moving, *(each.given for each in draft.beside)}
+        used = {(m.chain_id, m.number) for m in (*draft.members, *(b.member for b in draft.beside))}
+        names = {*chemistry.moving, *(candidate.given for candidate in draft.beside)}
         chemistry, member = with_pose(chemistry, path, {chain for chain, _ in used}, names)
         draft.beside.append(Candidate(member, member.name))
     if chemistry is not draft.reading.chemistry:
         draft.reading = replace(draft.reading, chemistry=chemistry)
-    there = [*draft.members, *(each.member for each in draft.beside)]
-    refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
+    members = [*draft.members, *(candidate.member for candidate in draft.beside)]
+    refuse_crowds([atom for member in members for atom in member.atoms], draft.source)
     return ()
 
 
 def order_parts(draft: Draft) -> Changes:
-    """Put chains and molecules into the order of the file; report a file without a mark of its end."""
-    draft.parts.sort(key=_place)
+    """Sort chains and molecules in the order of the file. Report a file without an end mark."""
+    draft.parts.sort(key=_file_position)
     chains = [part for part in draft.parts if not part.obstacle] or draft.parts
     last = chains[-1].members[-1]
     if not draft.is_ended and not last.atom("OXT"):
         yield Repair.of(Kind.NO_END, residue=last.residue)
 
 
-def _place(part: Part) -> int:
-    """Where a part begins in the file; behind all of it, if it comes from elsewhere."""
+def _file_position(part: Part) -> int:
+    """Return the first position of a molecule's atoms in the file, or a maximum if it has none there."""
     places = places_in_file([atom for member in part.members for atom in member.atoms])
     return min((place for place in places if place >= 0), default=sys.maxsize)
 
@@ -340,25 +340,25 @@ def model_numbers(path: str | Path) -> list[int]:
 
 
 def _element(atom: gemmi.Atom) -> gemmi.Element:
-    """Element by the atom's name where it contradicts the element read: CHARMM puts HD1 in columns 13-15."""
+    """Return the element by the atom's name if the element read contradicts it: CHARMM shifts HD1."""
     letter = atom.name.lstrip("0123456789")[:1]
-    known = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
-    return atom.element if known or letter not in "CHNOS" or not letter else gemmi.Element(letter)
+    is_element = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
+    return atom.element if is_element or letter not in "CHNOS" or not letter else gemmi.Element(letter)
 
 
-def _nowhere(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
-    """Atoms of an amino acid without a place: upon its CA, far from most others, or several at the origin."""
-    origin = [atom for atom in atoms if atom.pos.length() < _UPON]
-    others = [atom for atom in atoms if atom not in origin]
-    if not others or (len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others)):
+def _misplaced_atoms(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
+    """Return misplaced atoms of an amino acid: on its CA, far from most atoms, or several at the origin."""
+    origin = [atom for atom in atoms if atom.pos.length() < _COINCIDENT]
+    placed = [atom for atom in atoms if atom not in origin]
+    if not placed or (len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BONDED for atom in placed)):
         origin = []
-    if any(atom.pos.dist(others[0].pos) > _FAR for atom in others):
-        x = np.array([atom.pos.tolist() for atom in others])
+    if any(atom.pos.dist(placed[0].pos) > _FAR for atom in placed):
+        x = np.array([atom.pos.tolist() for atom in placed])
         is_far = np.linalg.norm(x - np.median(x, axis=0), axis=1) > _FAR
-        origin += [others[i] for i in np.flatnonzero(is_far) if 2 * is_far.sum() < len(others)]
-    alpha = next((atom for atom in others if atom.name == "CA" and atom not in origin), None)
+        origin += [placed[i] for i in np.flatnonzero(is_far) if 2 * is_far.sum() < len(placed)]
+    alpha = next((atom for atom in placed if atom.name == "CA" and atom not in origin), None)
     return origin + [
-        atom for atom in others if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _UPON
+        atom for atom in placed if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _COINCIDENT
     ]
 
 
@@ -369,7 +369,7 @@ def standard_parent(name: str) -> str:
 
 
 def _gap(last: Member, first: Member) -> float:
-    """Distance in angstrom from C of one residue to N of another; infinite where either cannot bond."""
+    """Return the distance (angstrom) from C of one residue to N of another, infinite if they cannot bond."""
     end, start = last.atom("C"), first.atom("N")
     if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
         return np.inf
@@ -377,16 +377,16 @@ def _gap(last: Member, first: Member) -> float:
 
 
 def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int], dict[int, int]]:
-    """Piece that follows a piece, and piece before it, where their ends are as near as bonded atoms."""
+    """Map each piece to the next and to the previous one, by ends at bond distance."""
     ends = {i: a for i, run in enumerate(runs) if (a := run[-1].atom("C"))}
     starts = {i: a for i, run in enumerate(runs) if (a := run[0].atom("N"))}
-    tree, number = KDTree(np.array([a.pos.tolist() for a in starts.values()]).reshape(-1, 3)), [*starts]
+    tree, pieces = KDTree(np.array([a.pos.tolist() for a in starts.values()]).reshape(-1, 3)), [*starts]
     near = []
     for i, a in ends.items():
-        for j in (number[k] for k in tree.query_ball_point(a.pos.tolist(), PEPTIDE_BREAK)):
+        for j in (pieces[k] for k in tree.query_ball_point(a.pos.tolist(), PEPTIDE_BREAK)):
             last, first = runs[i][-1], runs[j][0]
-            ended = last.atom("OXT") and not draft.has_bond(last.address("C"), first.address("N"))
-            if i != j and not ended and (gap := _gap(last, first)) < PEPTIDE_BREAK:
+            is_terminus = last.atom("OXT") and not draft.has_bond(last.address("C"), first.address("N"))
+            if i != j and not is_terminus and (gap := _gap(last, first)) < PEPTIDE_BREAK:
                 near.append((gap, i, j))
     following: dict[int, int] = {}
     before: dict[int, int] = {}
@@ -397,6 +397,6 @@ def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int]
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:
-    """Whether two residues, too far apart, are nevertheless bonded."""
+    """Whether two residues are bonded despite a long distance."""
     follows = int(first.number) == int(last.number) + 1
     return follows and gap < PEPTIDE_TORN and not last.atom("OXT") and not last.is_cap and not first.is_cap
