@@ -1,7 +1,7 @@
 """Preparation of a structure: :data:`PASSES` is its table of contents.
 
-Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit
-for bit.
+Atoms are placed by geometry, and missing side chains on rotamers. The same file gives the same coordinates,
+bit for bit.
 """
 
 from collections import Counter
@@ -43,10 +43,10 @@ from protochain.structure.preparation import read as chain_passes
 from protochain.structure.preparation.structure_draft import Chemistry, Draft, Omission, Part, Reading
 
 Pass = Callable[[Draft], Iterable[Repair | Omission]]
-"""A step of a preparation, which changes a draft and yields what it changed."""
+"""A step of a preparation, which changes a draft and yields the changes."""
 
 READING: tuple[Pass, ...] = (
-    model_choice.build_assembly,  # The assembly that is asked for, in the place of the molecules as filed.
+    model_choice.build_assembly,  # The requested assembly, instead of the molecules as filed.
     model_choice.choose_model,
     pseudo_atoms.remove_pseudo_atoms,
     periodic.make_whole,  # Molecules that a periodic box cuts.
@@ -54,12 +54,12 @@ READING: tuple[Pass, ...] = (
     chain_passes.read_bonds,  # Bonds that the file states.
     model_choice.choose_chains,
     model_choice.choose_altlocs,
-    chain_passes.split_chains,  # Residues of the protein, in pieces without a break, and molecules beside it.
+    chain_passes.split_chains,  # Residues of the protein, in unbroken pieces, and hetero molecules.
     chain_passes.join_chains,  # Pieces whose ends are bonded.
-    chain_passes.add_poses,  # Molecules that the user gives.
-    hetero_molecules.choose_kept,  # Molecules kept beside the protein, and what each is.
+    chain_passes.add_poses,  # Molecules of the user.
+    hetero_molecules.choose_kept,  # Hetero molecules to include, and their kinds.
     hetero_molecules.require_chain,
-    sites.find_links,  # Bonds between the protein and these.
+    sites.find_links,  # Bonds between the protein and hetero molecules.
     fragments.assign_chemistry,  # Residues that no template fits.
     sites.report_links,
     ligand_chemistry.parametrise_ligands,  # Small molecules.
@@ -68,12 +68,12 @@ READING: tuple[Pass, ...] = (
 )
 """Passes from a file to molecules of known chemistry."""
 COMPLETING: tuple[Pass, ...] = (
-    sites.list_bonds,  # Bonds otherwise than along a chain; molecules that move.
-    ligand_chemistry.take_ligands,  # Templates of ligands that move.
+    sites.list_bonds,  # Bonds that are not along a chain, and mobile molecules.
+    ligand_chemistry.take_ligands,  # Templates of mobile ligands.
     complete.add_heavy_atoms,
     sites.bond_disulfides,
     protonate.protonate,
-    ligand_chemistry.put_hydrogens,  # Of ligands, as their molecules have them.
+    ligand_chemistry.put_hydrogens,  # Hydrogens of ligands, as in their molecules.
 )
 """Passes from molecules to all of their atoms."""
 PASSES = READING + COMPLETING
@@ -99,56 +99,55 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters and other alternate locations are left out, molecules near the protein kept with it;
-    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues without parameters
-    become their standard parents; missing side-chain atoms are built on rotamers, L or D as the residue's
-    name says; disulfides and metal sites are found by distance, missing hydrogens placed by
-    geometry. The same file gives the same coordinates, bit for bit.
+    Waters and other alternate locations are removed. Hetero molecules near the protein are included. Chains
+    are split at breaks, and head-to-tail cyclic peptides are closed. Modified residues without parameters
+    become their standard parents. Missing side-chain atoms are built on rotamers, L or D by residue name.
+    Disulfides and metal sites are found by distance, and missing hydrogens are placed by geometry. The same
+    file gives the same coordinates, bit for bit.
 
     Parameters
     ----------
     path : path-like
-        PDB or mmCIF, also packed by gzip, bzip2 or xz; ``-`` is standard input. The content decides.
+        PDB or mmCIF, judged by content, also compressed by gzip, bzip2 or xz. ``-`` is standard input.
     model : int, optional
-        Number of the model in the file; the first by default.
+        Number of the model in the file. The default is the first one.
     assembly : str
-        Name of the biological assembly to build, as the file states it; by default its molecules as filed.
-        ``models`` joins the models of a file under free chain ids.
+        Name of the biological assembly to build, as the file states it. The default is the molecules as
+        filed. ``models`` joins the models of a file under free chain ids.
     altloc : str
-        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
-        of highest occupancy.
+        Preferred alternate location, which some atom must have. The location of highest occupancy is the
+        default, also for residues without the preferred one.
     keep : str or sequence of str
-        Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
-        of the protein or of a given ligand, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``,
-        or residue names.
-        Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
-        ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
-        element.
+        Hetero molecules to include: ``near`` for all but waters that have an atom within 5 angstrom of the
+        protein or of a user's ligand, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or
+        residue names. Small molecules of known chemistry move, and so do glycans in GLYCAM-06j and molecules
+        with parameters in ``forcefield``. Other molecules are fixed obstacles. Without parameters in any
+        force field they are described by element.
     disulfide : str, or sequence of pairs of str, optional
-        Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
-        ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
+        Disulfide bonds in addition to the bonds of close sulphurs, as ``[("A:3", "A:40")]`` or
+        ``"A:3-A:40"``. With ``"none"`` only the listed bonds are made.
     ph : float or str
-        Sets the protonation of residues whose hydrogens or names in the file do not show it, by the pKa of
-        their kinds; ``"auto"`` is pH 7 with the pKa of each by PROPKA (``pip install "protochain[pka]"``).
+        Sets the protonation by the pKa of the kind of residue, if hydrogens or names in the file do not show
+        it. ``"auto"`` is pH 7 with the pKa of each residue by PROPKA (``pip install "protochain[pka]"``).
     strict : bool
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
-        Force-field file whose residues are kept unmodified, or several with commas between, among names of
-        bundled ones. A molecule kept with the protein whose parameters it has moves.
+        Force-field file whose residues stay unmodified, or several separated by commas, also with names of
+        bundled ones. A hetero molecule moves if its parameters are in it.
     chains : str or sequence of str
-        Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
+        Chains to read, as ``"A,B"`` or ``("A", "B")``. The default is all chains.
     ligands : mapping of str to path-like or str, or sequence
-        Chemistry of molecules kept with the protein by the name of their residue: an SDF or MOL2 file, or
-        SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
-        added (``"FILE.sdf#2"`` its second molecule). Others have the bonds that the file states
-        (``_chem_comp_bond``, CONECT records with orders), or those of the Chemical Component Dictionary.
-        Their force field is that of :func:`protochain.ligand`.
-        It needs ``pip install "protochain[ligands]"``.
+        Chemistry of hetero molecules by residue name: an SDF or MOL2 file, or SMILES. ``"NAME=FILE"`` or a
+        list of such strings is accepted, too. A file without a name is a pose, which is added
+        (``"FILE.sdf#2"`` is its second molecule). Other molecules have the bonds that the file states
+        (``_chem_comp_bond``, CONECT records with orders), or else the Chemical Component Dictionary's.
+        Their force field is the same as in :func:`protochain.ligand`, which needs
+        ``pip install "protochain[ligands]"``.
     ligand_charges : str or path-like
-        Their partial charges, as ``charges`` of :func:`protochain.ligand`.
+        Partial charges of ligands, as ``charges`` of :func:`protochain.ligand`.
     standard_residues : bool
-        Convert modified residues to their standard parents, also phosphorylated ones, which amber14 and
-        amber19 have parameters for.
+        Convert modified residues to their standard parents, also phosphorylated residues with parameters in
+        amber14 and amber19.
 
     Returns
     -------
@@ -179,7 +178,7 @@ def reading_of(
     chains: str | Sequence[str] = (),
     ligands: Any = (),
     ligand_charges: str | Path = defaults.LIGAND_CHARGES,
-    **others: Any,
+    **options: Any,
 ) -> Reading:
     """Check the options of :func:`load`."""
     ph = acidity_or_auto(ph, "ph")
@@ -192,17 +191,17 @@ def reading_of(
         chemistry=Chemistry.asked(
             ligands, ligand_charges, defaults.PH if isinstance(ph, str) else ph, parts_of(forcefield)
         ),
-        **others,
+        **options,
     )
 
 
 def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
-    """Paths of those parts of a force field that are a user's files, not names of bundled ones."""
+    """Return the paths of a user's files in a force field, without the names of bundled ones."""
     return tuple(Path(name) for name in parts_of(forcefield) if Path(name).is_file())
 
 
 def parts_of(forcefield: str | Path | None) -> tuple[str, ...]:
-    """Names and paths that a force field is made of; none if none is given."""
+    """Return the names and paths that a force field consists of. None has no parts."""
     return () if forcefield is None else tuple(force_field_parts(file_name(forcefield, "forcefield")))
 
 
@@ -219,7 +218,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
 
 
 def run(draft: Draft, passes: Sequence[Pass]) -> Draft:
-    """Run passes over a draft, and collect what they change."""
+    """Run passes over a draft, and collect their changes."""
     for step in passes:
         for change in step(draft):
             if isinstance(change, Omission):
@@ -229,7 +228,7 @@ def run(draft: Draft, passes: Sequence[Pass]) -> Draft:
             for loss in change.lost:
                 if not loss.why.is_of_whole:
                     draft.left_out[f"atoms of {loss.name}"] += len(loss.atoms)
-    # What a structure is made of comes before its changes.
+    # The contents of a structure come before its changes.
     draft.repairs.sort(key=lambda repair: _FIRST.get(repair.kind, len(_FIRST)))
     return draft
 
@@ -248,11 +247,12 @@ def prepare(draft: Draft) -> Structure:
             raise StructureError(
                 f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
             )
+    # Hydrogens without a position are placed when all bonds are known.
     atoms = [atom for member in draft.members for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
     at = _indices(draft.states)
-    outer = [*draft.links, *draft.other_links, *draft.metal_links]
-    bonds = _bonds(draft, draft.states, draft.bridges, outer, at)
+    other_links = [*draft.links, *draft.other_links, *draft.metal_links]
+    bonds = _bonds(draft, draft.states, draft.bridges, other_links, at)
     charge = np.array([t.charge.get(atom.name, 0.0) for m, t in draft.states for atom in m.atoms])
     x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
     place = np.where(np.isnan(x[:, 0]), -1, places_in_file(atoms))
@@ -268,10 +268,11 @@ def prepare(draft: Draft) -> Structure:
         [len(member.atoms) for member in draft.members],
         axis=0,
     ).T
-    between = [link for link in draft.metal_links if link.member is not link.other]
-    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *between])
-    held = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
-    of_residues = [part for part in draft.parts for _ in part.members]
+    # Bonds of hetero molecules, and springs for the bonds without parameters.
+    metals = [link for link in draft.metal_links if link.member is not link.other]
+    links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *metals])
+    ties = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
+    residue_parts = [part for part in draft.parts for _ in part.members]
     return Structure(
         name=draft.name,
         topology=_topology(draft.parts, draft.states, bonds),
@@ -284,60 +285,60 @@ def prepare(draft: Draft) -> Structure:
         residue_label=tuple(member.label for member in draft.members),
         header=draft.header,
         model_number=draft.model_number,
-        ties=held,
+        ties=ties,
         mobile=mobile,
-        links=np.array(_linked(links, at), np.int64).reshape(-1, 2),
+        links=np.array(_link_indices(links, at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([k < 0 and element != "H" for k, element in zip(place, elements, strict=True)]),
-        ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
-        # Atoms of caps are atoms of neighbours.
+        ligands=tuple(_index_ligand(part, at) for part in draft.parts if part.ligand is not None),
+        # Atoms of caps belong to neighbouring residues.
         fragments=tuple(
             BoundLigand(
-                made.ligand,
-                np.array([-1 if m is None else at[id(m)].get(n, -1) for m, n in made.owners]),
-                core=made.core,
+                fragment.ligand,
+                np.array([-1 if m is None else at[id(m)].get(n, -1) for m, n in fragment.owners]),
+                core=fragment.core,
             )
-            for made in draft.fragments
+            for fragment in draft.fragments
         ),
-        glycans={r: part.glycam_code for r, part in enumerate(of_residues) if part.glycam_code},
+        glycans={r: part.glycam_code for r, part in enumerate(residue_parts) if part.glycam_code},
         origin=Origin(draft.filed, place, charge) if draft.filed and (place >= 0).any() else None,
     )
 
 
-def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
-    """A ligand with the atoms of the structure."""
+def _index_ligand(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
+    """Return the ligand of a molecule with its atom indices in the structure."""
     assert part.ligand is not None
     index = at[id(part.members[0])]
     atoms = np.array([index[name] for name in part.ligand.molecule.names])
     return BoundLigand(part.ligand, atoms, part.inverted, posed=part.posed)
 
 
-def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
-    """Bonds between the protein and what is kept with it, or between such, as atoms."""
+def _link_indices(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
+    """Return the pairs of atom indices of links."""
     return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
 def _distinct(draft: Draft, links: list[Link]) -> list[Link]:
-    """Each bond once, those of the protein first."""
+    """Return each bond of hetero molecules once, bonds to the protein first."""
     protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
     once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
     return sorted(once.values(), key=lambda link: id(link.member) not in protein)
 
 
 def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
-    """Occupancies; an added hydrogen, without a position yet, has that of its parent, which it follows."""
-    parent, found = 1.0, []
+    """Return the occupancies. A hydrogen without a position yet has its parent's, which it follows."""
+    parent, occupancies = 1.0, []
     for atom in atoms:
         parent = parent if atom.is_hydrogen() else atom.occ
-        found.append(parent if atom.is_hydrogen() and np.isnan(atom.pos.x) else atom.occ)
-    return np.array(found)
+        occupancies.append(parent if atom.is_hydrogen() and np.isnan(atom.pos.x) else atom.occ)
+    return np.array(occupancies)
 
 
-def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
-    """Index of each atom, by ``id`` of its residue and by name."""
+def _indices(states: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
+    """Return the index of each atom, by ``id`` of its residue and by name."""
     at: dict[int, dict[str, int]] = {}
     n = 0
-    for member, _ in done:
+    for member, _ in states:
         at[id(member)] = {atom.name: n + k for k, atom in enumerate(member.atoms)}
         n += len(member.atoms)
     return at
@@ -345,14 +346,14 @@ def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
 
 def _bonds(
     draft: Draft,
-    done: list[tuple[Member, Template]],
+    states: list[tuple[Member, Template]],
     bridges: list[tuple[Member, Member]],
     links: list[Link],
     at: dict[int, dict[str, int]],
 ) -> Integers:
-    """(nbonds, 2) int: bonds of the templates, of the chain, disulfides, and bonds to kept molecules."""
+    """Return the bonds (nbonds, 2) of templates and chains, disulfides, and links of hetero molecules."""
     pairs: list[tuple[int, int]] = []
-    for member, template in done:
+    for member, template in states:
         index = at[id(member)]
         pairs += [(index[a], index[b]) for a, b in template.outward if a in index and b in index]
     for part in draft.parts:
@@ -360,40 +361,40 @@ def _bonds(
         for member, following_member in zip(part.members, following, strict=False):
             end, start = ("O3'", "P") if part.obstacle else ("C", "N")
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
-    pairs += _linked(links, at)
+    pairs += _link_indices(links, at)
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1)
 
 
-def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
+def _topology(parts: list[Part], states: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
     topology = app.Topology()
     atoms = []
-    templates_of = {id(member): template for member, template in done}
+    templates_of = {id(member): template for member, template in states}
     for part in parts:
-        chain, is_beside = None, part.obstacle
+        chain, is_hetero = None, part.obstacle
         for member in part.members:
             if chain is None or chain.id != member.chain_id:
                 chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = _formal_charge(atom, member, templates_of[id(member)], is_beside)
+                charge = _formal_charge(atom, member, templates_of[id(member)], is_hetero)
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology
 
 
-def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
-    """Charge that the file gives an atom outside the protein, or an ion's own; and a thiolate."""
-    if beside:
+def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, is_hetero: bool) -> int:
+    """Return the formal charge of a hetero atom in the file, of an ion, or of a thiolate."""
+    if is_hetero:
         return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
     is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links
     return -1 if atom.name == "SG" and is_thiolate else 0
 
 
 def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:
-    """Refuse bonded atoms in one place: their bond has no direction."""
+    """Refuse bonded atoms that coincide, because their bond has no direction."""
     lengths = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
     if not len(lengths) or lengths.min() > _SHORTEST:
         return
