@@ -18,7 +18,7 @@ from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
-from protochain.energies.on_device import chosen
+from protochain.energies.on_device import choose_device
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.record import INTERFACE_COLUMNS, OF_FRAMES
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -213,7 +213,7 @@ def _with_threads(setup: Setup, threads: int | None) -> Setup:
 def _for_many(setup: Setup, structure: Structure) -> Setup:
     """Setup for many frames, which share one device context. A device pays off for fewer atoms."""
     fewest = defaults.DEVICE_FROM_IN_FRAMES
-    device = "cpu" if setup.engine == "native" else chosen(setup.device, structure.n_atoms, fewest)
+    device = "cpu" if setup.engine == "native" else choose_device(setup.device, structure.n_atoms, fewest)
     return replace(setup, device=device)
 
 

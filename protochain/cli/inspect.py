@@ -70,9 +70,9 @@ def info(
             "constant_terms": dict(used.left_out), "seconds_energy": perf_counter() - began,
         }  # fmt: skip
     if device:
-        from protochain.energies.on_device import chosen, devices
+        from protochain.energies.on_device import choose_device, devices
 
-        facts |= {"device": chosen(setup.device, structure.n_atoms), "devices": devices()}
+        facts |= {"device": choose_device(setup.device, structure.n_atoms), "devices": devices()}
     if as_json:
         options.print_json(facts)
         return

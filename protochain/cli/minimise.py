@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import claimed_files
-from protochain.core.timings import timed
+from protochain.core.timings import measure_run
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def minimise(
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
         for run_setup, path in runs:
-            with timed(from_start=not records):
+            with measure_run(from_start=not records):
                 records.append(
                     _solve_and_write(context, source, run_setup, path, chosen, solve, lengths, write, beside)
                 )

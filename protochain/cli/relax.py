@@ -139,7 +139,7 @@ def _one(
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
     from protochain.cli.terminal import print_timings
     from protochain.core.interrupts import held_interrupts
-    from protochain.core.timings import timed
+    from protochain.core.timings import measure_run
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.formats.files import suffix_of
@@ -151,7 +151,7 @@ def _one(
         output = output / relaxed_name(source)
     options.check_names(output, report, ligand_out, as_json)
     options.check_outputs([source], [output, report, ligand_out], setup, force)
-    with timed(from_start=True):
+    with measure_run(from_start=True):
         began = perf_counter()
         structure = setup.load(source)
         options.check_structure(structure, output, ligand_out)

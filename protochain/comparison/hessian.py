@@ -82,7 +82,7 @@ class Torques:
         """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
         assert isinstance(self.energy, NativeEnergy)
         block = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
-        bonded = replace(self, energy=self.energy.bonded)
+        bonded = replace(self, energy=self.energy.bonded_terms)
         coupled, colour = colours(self.chain, self.energy)
         for colour_index in range(int(colour.max(initial=-1)) + 1):
             column = np.flatnonzero(colour == colour_index)

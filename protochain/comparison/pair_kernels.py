@@ -10,7 +10,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.born import descreening
-from protochain.energies.native.layout import scalar, shared
+from protochain.energies.native.layout import chunk_kernel, scalar
 
 _FAR = 0.16
 """Square of s/r up to which the integral of a sphere is a series of :data:`_TERMS` terms."""
@@ -75,7 +75,7 @@ def coupled(
     return by_f, twice, decay, x, twice * radii * grown * grown + by_f * decay * (1.0 + x + x * x)
 
 
-@shared
+@chunk_kernel
 def couplings(
     begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, found: Floats
 ) -> None:
@@ -90,7 +90,7 @@ def couplings(
             )
 
 
-@shared
+@chunk_kernel
 def integrals(
     above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, radius: Floats,
     scaled: Floats, engulfs: bool, parent: Integers, v_start: Integers, motions: Floats, sums: Floats,
@@ -121,7 +121,7 @@ def integrals(
         _project(wrench, parent, v_start, motions, along[i - above])
 
 
-@shared
+@chunk_kernel
 def born_rows(
     above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, charge: Floats,
     surface: Floats, born: Floats, parent: Integers, v_start: Integers, motions: Floats, of_born: Floats,
@@ -196,7 +196,7 @@ def _project(wrench: Floats, parent: Integers, v_start: Integers, motions: Float
                 wrench[parent[b], p] += wrench[b, p]
 
 
-@shared
+@chunk_kernel
 def pair_sweep(
     bodies: Integers, begin: int, end: int, tree: Tree, atoms: tuple[Floats, Integers], pairs: Pairs,
     solvent: Solvent, sums: tuple[Floats, Floats, Floats, Floats],
@@ -310,7 +310,7 @@ def pair_sweep(
                     row[p, c] = 0.0
 
 
-@shared
+@chunk_kernel
 def add_rows(
     begin: int, end: int, freedoms: Integers, parent: Integers, v_start: Integers, motions: Floats,
     along: Floats, matrix: Floats,

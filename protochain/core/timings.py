@@ -34,7 +34,7 @@ _CLOCK: ContextVar[Clock | None] = ContextVar("clock", default=None)
 
 
 @contextmanager
-def timed(from_start: bool = False) -> Iterator[None]:
+def measure_run(from_start: bool = False) -> Iterator[None]:
     """Time a run, unless it is part of a timed run. ``from_start`` counts from the start of the process."""
     if _CLOCK.get() is not None:
         yield
@@ -73,7 +73,7 @@ def until_now() -> dict[str, float | None]:
 
 
 @contextmanager
-def shared() -> Iterator[None]:
+def count_kernel() -> Iterator[None]:
     """Count the next calls as a kernel that threads share, if a loop called it, once it is compiled."""
     if (clock := _CLOCK.get()) is None or clock.within[-1] not in LOOP:
         yield

@@ -4,7 +4,7 @@ import copy
 
 import openmm
 
-from protochain.energies.factory import by_engine
+from protochain.energies.factory import choose_engine
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
@@ -20,12 +20,12 @@ _BONDED = (
 def bonded_part(energy: Energy) -> Energy | None:
     """Bonds, angles and dihedrals of an energy, without all that acts between other atoms."""
     # None if nothing is known of its terms, as of a callable.
-    own: Energy | None = getattr(energy, "bonded", None)
-    if own is not None or energy.system is None:
-        return own
+    bonded: Energy | None = getattr(energy, "bonded_terms", None)
+    if bonded is not None or energy.system is None:
+        return bonded
     system = copy.deepcopy(energy.system)
-    for place in reversed(range(system.getNumForces())):
-        if not isinstance(system.getForce(place), _BONDED):
-            system.removeForce(place)
+    for index in reversed(range(system.getNumForces())):
+        if not isinstance(system.getForce(index), _BONDED):
+            system.removeForce(index)
     by_openmm = OpenMMEnergy(system, "CPU", energy.threads, energy.forcefield, "vacuum", "bonded terms alone")
-    return by_engine("auto", by_openmm)
+    return choose_engine("auto", by_openmm)

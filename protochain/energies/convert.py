@@ -51,12 +51,12 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
         from protochain.energies.ase_calculator import EnergyCalculator
     except ModuleNotFoundError as error:
         raise ProtochainError("ASE is not installed; python -m pip install ase") from error
-    made = as_structure(structure)
-    energy = as_energy(energy, made, structure)
+    model = as_structure(structure)
+    energy = as_energy(energy, model, structure)
     return Atoms(
-        symbols=made.atom_element.tolist(),
-        positions=made.positions * nm,
-        masses=made.atom_mass,
+        symbols=model.atom_element.tolist(),
+        positions=model.positions * nm,
+        masses=model.atom_mass,
         calculator=EnergyCalculator(energy),
     )
 
@@ -91,19 +91,19 @@ def energy_from(calculator: Any, structure: Any) -> Energy:
     from ase import Atoms
     from ase.units import kJ, mol, nm
 
-    made = as_structure(structure)
-    asked = getattr(calculator, "calc", calculator)
-    if not callable(getattr(asked, "get_potential_energy", None)) or isinstance(asked, type):
-        given = shown(calculator)
-        raise ProtochainError(f"calculator {given}: give a calculator of ASE, or Atoms with one")
-    atoms = Atoms(made.atom_element.tolist(), made.positions * nm, masses=made.atom_mass, calculator=asked)
+    model = as_structure(structure)
+    calc = getattr(calculator, "calc", calculator)
+    if not callable(getattr(calc, "get_potential_energy", None)) or isinstance(calc, type):
+        description = shown(calculator)
+        raise ProtochainError(f"calculator {description}: give a calculator of ASE, or Atoms with one")
+    atoms = Atoms(model.atom_element.tolist(), model.positions * nm, masses=model.atom_mass, calculator=calc)
 
     def by_calculator(x: Floats) -> tuple[float, Floats]:
         atoms.positions = x * nm
         return atoms.get_potential_energy() * mol / kJ, atoms.get_forces() * mol / kJ * nm
 
-    by_calculator.__qualname__ = type(asked).__qualname__
-    return as_energy(by_calculator, made)
+    by_calculator.__qualname__ = type(calc).__qualname__
+    return as_energy(by_calculator, model)
 
 
 _SAME_PLACE = 1e-6
@@ -150,21 +150,21 @@ def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
             f"simulation: its {len(x)} atoms are not the {structure.n_atoms} of the prepared structure; "
             "give one of a whole protein without explicit water, made from structure.topology"
         )
-    bare = _bare(simulation.system)
-    if bare:
+    n_bare = _count_bare_constraints(simulation.system)
+    if n_bare:
         raise ProtochainError(
-            f"simulation: its System constrains {bare} bonds that have no force, and would break; "
+            f"simulation: its System constrains {n_bare} bonds that have no force, and would break; "
             "create it with constraints=None or flexibleConstraints=True"
         )
     return structure, energy(structure, system=simulation.system)
 
 
-def _bare(system: openmm.System) -> int:
+def _count_bare_constraints(system: openmm.System) -> int:
     """Number of constraints without a bond's force between the same atoms."""
     bonds = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
-    held = {frozenset(of.getBondParameters(k)[:2]) for of in bonds for k in range(of.getNumBonds())}
+    bonded = {frozenset(f.getBondParameters(k)[:2]) for f in bonds for k in range(f.getNumBonds())}
     pairs = (system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints()))
-    return sum(frozenset(pair) not in held for pair in pairs)
+    return sum(frozenset(pair) not in bonded for pair in pairs)
 
 
 @checked(simulation=_SIMULATION)

@@ -53,7 +53,7 @@ class CustomEnergy:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
-        return answer(self.function, plain(x, "nanometer", "x"), f"energy {self.name}")
+        return call_user(self.function, plain(x, "nanometer", "x"), f"energy {self.name}")
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Energy in kJ/mol under the name of the callable, and forces (na, 3) in kJ/mol/nm."""
@@ -64,7 +64,7 @@ class CustomEnergy:
         return f"<CustomEnergy {self.name}>"
 
 
-def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Floats]:
+def call_user(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Floats]:
     """Ask a callable for energy and forces (na, 3) at positions x (na, 3) in nm."""
     # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
     returned = function(np.array(x))
@@ -72,8 +72,8 @@ def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Float
         raise ProtochainError(f"{name}: return (energy, forces), not {shown(returned)}")
     value, forces = (_real(part) for part in returned)
     if value is None or value.size != 1 or forces is None:
-        what = f"{shown(returned[0])} and {shown(returned[1])}"
-        raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {what}")
+        values = f"{shown(returned[0])} and {shown(returned[1])}"
+        raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {values}")
     if forces.shape != np.shape(x):
         raise ProtochainError(
             f"{name}: return (energy, forces) with forces of shape {np.shape(x)}, not {forces.shape}",
@@ -96,47 +96,47 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
     # It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
     # random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
     rng = np.random.default_rng(0)
-    beside = x + _BESIDE * rng.normal(size=x.shape)
-    value, forces = answer(function, beside, name)
+    center = x + _DISPLACEMENT * rng.normal(size=x.shape)
+    value, forces = call_user(function, center, name)
     if not (np.isfinite(value) and np.isfinite(forces).all()):
         return
     size = float(np.linalg.norm(forces))
-    along = rng.normal(size=x.shape)
-    along = (along if np.vdot(along, forces) >= 0.0 else -along) + (forces / size if size > 0.0 else 0.0)
-    noted = -float(np.vdot(forces, along))
+    line = rng.normal(size=x.shape)
+    line = (line if np.vdot(line, forces) >= 0.0 else -line) + (forces / size if size > 0.0 else 0.0)
+    force_slope = -float(np.vdot(forces, line))
     slope = np.nan
     for step in _STEPS:
-        (up, _), (down, _) = (answer(function, beside + sign * step * along, name) for sign in (1.0, -1.0))
+        (up, _), (down, _) = (call_user(function, center + sign * step * line, name) for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * step)
-        rounded = _ROUNDED * (abs(value) + 1.0) / step
+        rounding = _ROUNDING * (abs(value) + 1.0) / step
         # NaN is not larger: what is not finite is left to the run.
-        if not abs(slope - noted) > _ALIKE * max(abs(slope), abs(noted)) + rounded:
+        if not abs(slope - force_slope) > _TOLERANCE * max(abs(slope), abs(force_slope)) + rounding:
             return
     raise ProtochainError(
         f"{name}: its forces are not those of its energy, whose slope along a line is {slope:.4g} kJ/mol/nm "
-        f"where they say {noted:.4g}; return forces -dE/dx, in kJ/mol/nm"
+        f"where they say {force_slope:.4g}; return forces -dE/dx, in kJ/mol/nm"
     )
 
 
-_BESIDE = 0.005
+_DISPLACEMENT = 0.005
 """nm. Deviation of each coordinate, far less than where atoms come to overlap."""
 _STEPS = (1e-5, 1e-4, 1e-3)
 """nm. The first is right for energies in double precision, whose terms bend over some 0.01 nm; the last
 for those in single precision (1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm). One must do."""
-_ALIKE = 0.02
+_TOLERANCE = 0.02
 """Of the slope. Truncation is less than a hundredth at all steps but where atoms overlap; forces wrong by a
 factor, in sign or in a part are off by more."""
-_ROUNDED = 64 * float(np.finfo(float).eps)
+_ROUNDING = 64 * float(np.finfo(float).eps)
 """Of an energy, for some dozen sums."""
 
 
 def name_of(value: Any) -> str:
     """Qualified name of a function or class, or of an object's class."""
-    named = value if hasattr(value, "__qualname__") else type(value)
-    return f"{named.__module__ or '__main__'}.{named.__qualname__}"
+    definition = value if hasattr(value, "__qualname__") else type(value)
+    return f"{definition.__module__ or '__main__'}.{definition.__qualname__}"
 
 
-def as_energy(given: Any, structure: Structure, source: Any = None, **named: Any) -> Energy:
+def as_energy(given: Any, structure: Structure, source: Any = None, **arguments: Any) -> Energy:
     """Make an energy of what a caller gives.
 
     Parameters
@@ -162,7 +162,7 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **named: Any
         If it is neither, was built for other atoms, or does not return an energy and its forces.
     """
     if given is None:
-        given = energy(source if has_energy(source) else structure, **named)
+        given = energy(source if has_energy(source) else structure, **arguments)
     if hasattr(given, "without_constants"):
         check_is_of(given, structure)
         return given
@@ -171,6 +171,6 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **named: Any
         raise ProtochainError(
             f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"
         )
-    made = CustomEnergy(given)
-    check_forces(given, structure.positions, f"energy {made.name}")
-    return made
+    custom = CustomEnergy(given)
+    check_forces(given, structure.positions, f"energy {custom.name}")
+    return custom

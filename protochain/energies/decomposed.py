@@ -139,24 +139,24 @@ def energy_terms(
 
     structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = None if between is None else _parts(structure, between)
-    made = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
-    native = native_of(made)
+    resolved = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
+    native = native_of(resolved)
     if native is None:
-        raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")
+        raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {resolved.reason}")
     if parts and by == "term":
         return _interface(structure, native, parts)
     decomposition = decomposed(structure, native, structure.positions, by == "pair" or parts is not None)
     if parts:
-        decomposition = _between(decomposition, parts)
+        decomposition = _pairs_across(decomposition, parts)
     if by == "term":
         return _with_total(pd.DataFrame([decomposition.terms], index=["whole"]))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     columns = {"chain": structure.residue_chain, "residue": number, "name": structure.residue_name}
-    named = pd.DataFrame(columns)
+    labels = pd.DataFrame(columns)
     if by == "residue":
-        return _with_total(named.join(pd.DataFrame(decomposition.shares.T, columns=TERMS)))
+        return _with_total(labels.join(pd.DataFrame(decomposition.shares.T, columns=TERMS)))
     first, second = np.nonzero(decomposition.pairs.any(axis=0))
-    sides = [named.iloc[k].reset_index(drop=True).add_suffix(f"_{n}") for n, k in ((1, first), (2, second))]
+    sides = [labels.iloc[k].reset_index(drop=True).add_suffix(f"_{n}") for n, k in ((1, first), (2, second))]
     return _with_total(
         pd.concat([*sides, pd.DataFrame(decomposition.pairs[:, first, second].T, columns=TERMS)], axis=1)
     )
@@ -173,14 +173,14 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
         raise ProtochainError(f"between {between!r}: give two parts, as 'A:1-50,B'")
     masks = [residues_of(structure, part.strip(), "between") for part in sides]
     if (masks[0] & masks[1]).any():
-        both = structure.describe_residue(int(np.argmax(masks[0] & masks[1])))
+        residue = structure.describe_residue(int(np.argmax(masks[0] & masks[1])))
         raise ProtochainError(
-            f"between {between!r}: {both} is in both parts; give parts without it in common"
+            f"between {between!r}: {residue} is in both parts; give parts without it in common"
         )
     return masks[0], masks[1]
 
 
-def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]:
+def residues_of(structure: Structure, part: str, argument: str) -> NDArray[np.bool_]:
     """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, which an argument names.
 
     Ends with insertion codes, as ``H:111A-112``, mean the residues between them in the order of the file.
@@ -193,7 +193,7 @@ def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]
             mask[structure.atom_residue[select(structure, part)]] = True
         except ProtochainError:
             raise ProtochainError(
-                f"{what}: {part!r} is no part of {structure.name}; give a chain ({', '.join(chains)}), "
+                f"{argument}: {part!r} is no part of {structure.name}; give a chain ({', '.join(chains)}), "
                 "residues as A:1-50, or a selection that has atoms"
             ) from None
         return mask
@@ -211,16 +211,16 @@ def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]
     elif first[0]:
         chosen &= (number >= int(first[0])) & (number <= int(last[0]))
     if not chosen.any():
-        raise ProtochainError(f"{what}: {structure.name} has no residue {part}; give numbers that it has")
+        raise ProtochainError(f"{argument}: {structure.name} has no residue {part}; give numbers that it has")
     return chosen
 
 
-def _between(decomposition: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
+def _pairs_across(energies: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
     """What is of pairs of residues of the two parts alone."""
-    one, other = parts
-    across = one[:, None] & other
-    pairs = decomposition.pairs * (across | across.T)
-    return Decomposed(decomposition.structure, _shares(pairs), pairs)
+    first, second = parts
+    across = first[:, None] & second
+    pairs = energies.pairs * (across | across.T)
+    return Decomposed(energies.structure, _shares(pairs), pairs)
 
 
 def _interface(
@@ -256,23 +256,23 @@ def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[
 
 
 def interaction(
-    structure: Structure, energy: NativeEnergy, x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]
+    structure: Structure, energy: NativeEnergy, x: Floats, first: NDArray[np.bool_], second: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """Interaction of two parts, and what it costs to take the solvent from between them, all else away."""
     # x (na, 3) nm, one, other (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: Shares of each
     # residue: half of its pairs with the other part, with the Born radii that both have together; and what
     # generalised Born and surface within its own part change.
-    of_one, of_other = (part[structure.atom_residue] for part in (one, other))
-    away = np.zeros((structure.n_atoms, 3))
-    away[~of_one & ~of_other, 1] = _AWAY
-    together = decomposed(structure, energy, x + away, pairs=True)
-    away[of_other, 0] = _AWAY
-    apart = decomposed(structure, energy, x + away, pairs=True)
-    within = np.zeros_like(together.pairs)
-    same_side = (one[:, None] & one) | (other[:, None] & other)
+    first_atoms, second_atoms = (part[structure.atom_residue] for part in (first, second))
+    offset = np.zeros((structure.n_atoms, 3))
+    offset[~first_atoms & ~second_atoms, 1] = _AWAY
+    complex_terms = decomposed(structure, energy, x + offset, pairs=True)
+    offset[second_atoms, 0] = _AWAY
+    separate_terms = decomposed(structure, energy, x + offset, pairs=True)
+    desolvation = np.zeros_like(complex_terms.pairs)
+    same_side = (first[:, None] & first) | (second[:, None] & second)
     for term in map(TERMS.index, ("generalised_born", "surface")):
-        within[term] = (together.pairs[term] - apart.pairs[term]) * same_side
-    return _between(together, (one, other)).shares, _shares(within)
+        desolvation[term] = (complex_terms.pairs[term] - separate_terms.pairs[term]) * same_side
+    return _pairs_across(complex_terms, (first, second)).shares, _shares(desolvation)
 
 
 def _shares(pairs: Floats) -> Floats:
@@ -299,11 +299,11 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
     Decomposed
         Terms, shares, and pairs if asked for.
     """
-    terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
+    terms, residue_of, n = energy.terms, structure.atom_residue, structure.n_residues
     born, shares = energy.born_radii(x), np.zeros((len(TERMS), n))
     matrix = np.zeros((len(TERMS), n, n) if pairs else (0, 0, 0))
-    energies = _bonded(terms, x)
-    energies |= _exceptions(terms, x)
+    energies = _bonded_energies(terms, x)
+    energies |= _exception_energies(terms, x)
     if terms.solvent is not None:
         atoms = np.arange(len(x))[:, None].repeat(2, axis=1)
         energies["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
@@ -313,11 +313,11 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
             continue
         k = TERMS.index(kind)
         for column in ends.T:
-            shares[k] += np.bincount(of[column], 0.5 * values, n)
+            shares[k] += np.bincount(residue_of[column], 0.5 * values, n)
         if pairs:
-            residues = np.sort(of[ends], axis=1)
+            residues = np.sort(residue_of[ends], axis=1)
             np.add.at(matrix[k], (residues[:, 0], residues[:, 1]), values)
-    start = np.searchsorted(of, np.arange(n + 1))
+    start = np.searchsorted(residue_of, np.arange(n + 1))
     for first, rows in _pairs_of_residues(terms, x, born, start, energy.threads):
         last = first + rows.shape[1]
         shares[_NONBONDED] += 0.5 * rows.sum(axis=1)
@@ -336,8 +336,8 @@ def _pairs_of_residues(
     partner_start, partners = partners_of(nonbonded.exceptions.atoms, len(x))
     gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
     # Rows of the first residues are longer: each part has as many pairs.
-    left = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
-    begin = np.clip(np.round(left), 0, n).astype(int)
+    boundaries = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
+    begin = np.clip(np.round(boundaries), 0, n).astype(int)
 
     def part(chunk: int) -> tuple[int, Floats]:
         first, last = int(begin[chunk]), int(begin[chunk + 1])
@@ -353,15 +353,15 @@ def _pairs_of_residues(
         yield from pool.map(part, range(_CHUNKS))
 
 
-_Owned = tuple[Integers, Floats]
+_SharedEnergies = tuple[Integers, Floats]
 """(n, 2) int, (n,) float: the two atoms, or one twice, that share each energy."""
 
 
-def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
+def _exception_energies(terms: Terms, x: Floats) -> dict[str, _SharedEnergies]:
     """Pairs with parameters of their own."""
-    some = terms.nonbonded.exceptions
-    counts = some.parameters.any(axis=1)
-    atoms, (a, b, qq) = some.atoms[counts], some.parameters[counts].T
+    exceptions = terms.nonbonded.exceptions
+    is_active = exceptions.parameters.any(axis=1)
+    atoms, (a, b, qq) = exceptions.atoms[is_active], exceptions.parameters[is_active].T
     inverse2 = 1.0 / np.maximum(distance(*x[atoms.T]) ** 2, CLOSEST)
     inverse6 = inverse2 * inverse2 * inverse2
     return {
@@ -370,27 +370,27 @@ def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
     }
 
 
-def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
+def _bonded_energies(terms: Terms, x: Floats) -> dict[str, _SharedEnergies]:
     """Bonded energies, and the atoms that share each."""
-    of, proper = terms.bonded, terms.is_proper
+    bonded, is_proper = terms.bonded, terms.is_proper
 
     def springs(kind: str, measure: Callable[..., Floats]) -> Floats:
-        rest, k = of[kind].parameters.T
-        return np.asarray(0.5 * k * (measure(*x[of[kind].atoms.T]) - rest) ** 2)
+        equilibrium, k = bonded[kind].parameters.T
+        return np.asarray(0.5 * k * (measure(*x[bonded[kind].atoms.T]) - equilibrium) ** 2)
 
-    torsions, harmonic, maps = of["torsions"], of["impropers"], of["maps"]
+    torsions, harmonic, maps = bonded["torsions"], bonded["impropers"], bonded["maps"]
     n, phase, k = torsions.parameters.T
     periodic = k * (1.0 + np.cos(n * _dihedrals(x, torsions.atoms) - phase))
-    rest, k = harmonic.parameters.T
-    bent = k * (_dihedrals(x, harmonic.atoms) - rest) ** 2
+    equilibrium, k = harmonic.parameters.T
+    improper_energies = k * (_dihedrals(x, harmonic.atoms) - equilibrium) ** 2
     return {
-        "bonds": (of["bonds"].atoms, springs("bonds", distance)),
-        "angles": (of["angles"].atoms[:, [1, 1]], springs("angles", angle)),
-        "torsions": (torsions.atoms[proper][:, 1:3], periodic[proper]),
-        "impropers": (terms.centres, np.concatenate([periodic[~proper], bent])),
+        "bonds": (bonded["bonds"].atoms, springs("bonds", distance)),
+        "angles": (bonded["angles"].atoms[:, [1, 1]], springs("angles", angle)),
+        "torsions": (torsions.atoms[is_proper][:, 1:3], periodic[is_proper]),
+        "impropers": (terms.centres, np.concatenate([periodic[~is_proper], improper_energies])),
         "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, x)),
         "ties": (
-            np.concatenate([of["ties"].atoms, of["tie angles"].atoms[:, [1, 1]]]),
+            np.concatenate([bonded["ties"].atoms, bonded["tie angles"].atoms[:, [1, 1]]]),
             np.concatenate([springs("ties", distance), springs("tie angles", angle)]),
         ),
     }
@@ -407,8 +407,8 @@ def _maps(maps: Bonded, coefficients: Floats, x: Floats) -> Floats:
     """Bicubic in each cell of a grid over two dihedrals."""
     size = coefficients.shape[1]
     angles = [_dihedrals(x, maps.atoms[:, k : k + 4]) for k in (0, 4)]
-    cells = [each % (2.0 * np.pi) * size / (2.0 * np.pi) for each in angles]
-    whole = [np.minimum(each.astype(int), size - 1) for each in cells]
-    powers = [(each - low)[:, None] ** np.arange(4) for each, low in zip(cells, whole, strict=True)]
-    surface = coefficients[maps.parameters[:, 0].astype(int), whole[0], whole[1]]
+    cells = [phi % (2.0 * np.pi) * size / (2.0 * np.pi) for phi in angles]
+    index = [np.minimum(place.astype(int), size - 1) for place in cells]
+    powers = [(place - low)[:, None] ** np.arange(4) for place, low in zip(cells, index, strict=True)]
+    surface = coefficients[maps.parameters[:, 0].astype(int), index[0], index[1]]
     return np.asarray(np.einsum("nij,ni,nj->n", surface, *powers))

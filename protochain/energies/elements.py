@@ -65,44 +65,44 @@ def lennard_jones(element: str, charge: float = 0.0) -> tuple[float, float]:
 def create_system(
     structure: Structure,
     force_field: app.ForceField,
-    fresh: Callable[[], app.ForceField],
+    reload: Callable[[], app.ForceField],
     pairs: dict[str, Any],
 ) -> openmm.System:
     """Create the System of a structure with obstacles, those without parameters by element."""
     # Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
     # left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
     # ``createSystem`` on the cutoff.
-    bounds = (*structure.ligands, *structure.fragments)
+    bound_ligands = (*structure.ligands, *structure.fragments)
     sugars = structure.glycans
     ions = _ions(structure, force_field)
-    framed = [_framed(structure, bound) for bound in bounds]
-    framed_residues = {r for places in framed for r in places}
-    topology, unknown = _recognised(force_field, structure, [*sugars, *ions], framed_residues)
+    ligand_atoms = [_ligand_atoms(structure, bound) for bound in bound_ligands]
+    ligand_residues = {r for places in ligand_atoms for r in places}
+    topology, unknown = _match_residues(force_field, structure, [*sugars, *ions], ligand_residues)
     unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
-    linked = {r: atoms for r, atoms in _linked(structure).items() if r not in framed_residues}
-    if unknown or linked or framed_residues:
-        force_field = fresh()
+    linked_atoms = {r: atoms for r, atoms in _linked_atoms(structure).items() if r not in ligand_residues}
+    if unknown or linked_atoms or ligand_residues:
+        force_field = reload()
     residues = list(topology.residues())
-    chosen = {residues[r]: _by_element(force_field, structure, residues[r]) for r in unknown}
-    for r, atoms in linked.items():
-        bears_sugar = any(structure.mobile[k] for atom in atoms for k in structure.neighbours[atom])
-        chosen[residues[r]] = (
-            _glycosylated(residues[r]) if bears_sugar else _variant(force_field, residues[r], atoms)
+    templates = {residues[r]: _element_template(force_field, structure, residues[r]) for r in unknown}
+    for r, atoms in linked_atoms.items():
+        has_sugar = any(structure.mobile[k] for atom in atoms for k in structure.neighbours[atom])
+        templates[residues[r]] = (
+            _glycam_name(residues[r]) if has_sugar else _linked_template(force_field, residues[r], atoms)
         )
-    chosen |= {residues[r]: code for r, code in sugars.items()}
-    chosen |= {residues[r]: name for r, name in ions.items() if name}
-    for bound, places in zip(bounds, framed, strict=True):
-        chosen |= _register(force_field, structure, residues, bound, places)
-    system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
-    for bound in bounds:
+    templates |= {residues[r]: code for r, code in sugars.items()}
+    templates |= {residues[r]: name for r, name in ions.items() if name}
+    for bound, places in zip(bound_ligands, ligand_atoms, strict=True):
+        templates |= _register_templates(force_field, structure, residues, bound, places)
+    system = force_field.createSystem(topology, rigidWater=False, residueTemplates=templates, **pairs)
+    for bound in bound_ligands:
         _add_terms(system, bound)
     if structure.ligands:
         _scale_pairs(system, structure.ligands)
-    _refuse_unheld(structure, system)
+    _refuse_unbonded(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
-    _exclude(system, _not_interacting(structure, by_element))
+    _exclude(system, _excluded_pairs(structure, by_element))
     _share_charges(system, structure)
     for force in _springs(structure.ties):
         system.addForce(force)
@@ -111,45 +111,45 @@ def create_system(
 
 def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
     """Template of each ion of one atom, of its element and charge; empty where the force field has none."""
-    known = {
+    names = {
         (atom.element, round(atom.parameters.get("charge", 0.0))): template.name
         for template in reversed(force_field._templates.values())
         for atom in template.atoms
         if len(template.atoms) == 1
     }
     count = np.bincount(structure.atom_residue)
-    alone = np.flatnonzero(structure.kept & (count[structure.atom_residue] == 1))
-    elements = [atom.element for atom in structure.topology.atoms()] if len(alone) else []
+    ions = np.flatnonzero(structure.kept & (count[structure.atom_residue] == 1))
+    elements = [atom.element for atom in structure.topology.atoms()] if len(ions) else []
     charge = structure.formal_charge
     return {
-        int(structure.atom_residue[k]): known.get((elements[k], int(charge[k])), "") for k in alone.tolist()
+        int(structure.atom_residue[k]): names.get((elements[k], int(charge[k])), "") for k in ions.tolist()
     }
 
 
-def _recognised(
-    force_field: app.ForceField, structure: Structure, small: Iterable[int], framed: set[int]
+def _match_residues(
+    force_field: app.ForceField, structure: Structure, small: Iterable[int], ligand_residues: set[int]
 ) -> tuple[app.Topology, list[int]]:
     """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
     # Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
     residue = structure.atom_residue
     atoms = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
-    beside = structure.kept[bonds]
-    is_known = (beside[:, 0] == beside[:, 1]) | structure.mobile[bonds].any(axis=1)
+    is_hetero = structure.kept[bonds]
+    is_known = (is_hetero[:, 0] == is_hetero[:, 1]) | structure.mobile[bonds].any(axis=1)
     bonds = bonds[is_known & ~structure.coordination]
     unknown: set[int] = set()
     while True:
         unmatched = {
             int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=atoms))
-        } - framed
+        } - ligand_residues
         if not unmatched - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= unmatched
         # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
-        light = (structure.atom_element[bonds] == "H").any(axis=1)
+        has_hydrogen = (structure.atom_element[bonds] == "H").any(axis=1)
         # Beyond a nucleotide without parameters, the strand goes on.
-        goes_on = structure.mobile[bonds].sum(axis=1) == 1
-        bonds = bonds[light | goes_on | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
+        continues_strand = structure.mobile[bonds].sum(axis=1) == 1
+        bonds = bonds[has_hydrogen | continues_strand | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
 
 
 def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None:
@@ -164,25 +164,25 @@ def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None
 
 def _refuse_without_glycam(structure: Structure, force_field: app.ForceField) -> None:
     """Refuse glycans that move where the force field is none that GLYCAM goes with."""
-    lacking = [r for r, code in structure.glycans.items() if code not in force_field._templates]
-    if lacking:
+    missing = [r for r, code in structure.glycans.items() if code not in force_field._templates]
+    if missing:
         raise ForceFieldError(
-            f"{structure.describe_residue(lacking[0])} moves with GLYCAM-06j, which goes with {HAS_GLYCAM} "
+            f"{structure.describe_residue(missing[0])} moves with GLYCAM-06j, which goes with {HAS_GLYCAM} "
             "only; load the structure with this force field, so that its glycans stay in place"
         )
 
 
-def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
+def _refuse_unbonded(structure: Structure, system: openmm.System) -> None:
     """Refuse a molecule that moves and has a bond without a term, which OpenMM leaves out silently."""
-    held = {tuple(sorted(system.getConstraintParameters(k)[:2])) for k in range(system.getNumConstraints())}
+    pairs = {tuple(sorted(system.getConstraintParameters(k)[:2])) for k in range(system.getNumConstraints())}
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
-            held |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
+            pairs |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
     bonds = structure.bonds
     # Springs hold what is bonded to an obstacle.
     is_mobile = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
     for i, j in bonds[is_mobile & ~structure.coordination].tolist():
-        if (i, j) not in held:
+        if (i, j) not in pairs:
             raise ForceFieldError(
                 f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
                 "molecule moves: add them to its file (HarmonicBondForce)"
@@ -191,24 +191,24 @@ def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
 
 def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.Topology:
     """Topology with these bonds, of all atoms or of some; the id of a residue is its index."""
-    made = app.Topology()
+    topology = app.Topology()
     atoms: dict[int, app.topology.Atom] = {}
     for chain in structure.topology.chains():
-        new_chain = made.addChain(chain.id)
+        new_chain = topology.addChain(chain.id)
         for residue in chain.residues():
-            chosen = [a for a in residue.atoms() if only is None or only[a.index]]
-            if not chosen:
+            residue_atoms = [a for a in residue.atoms() if only is None or only[a.index]]
+            if not residue_atoms:
                 continue
-            new = made.addResidue(residue.name, new_chain, str(residue.index))
-            for a in chosen:
-                atoms[a.index] = made.addAtom(a.name, a.element, new)
+            new_residue = topology.addResidue(residue.name, new_chain, str(residue.index))
+            for a in residue_atoms:
+                atoms[a.index] = topology.addAtom(a.name, a.element, new_residue)
     for first, second in bonds.tolist():
         if first in atoms and second in atoms:
-            made.addBond(atoms[first], atoms[second])
-    return made
+            topology.addBond(atoms[first], atoms[second])
+    return topology
 
 
-def _by_element(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
+def _element_template(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
     """Add the template of an unknown molecule to a force field; return its name."""
     types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
     charges = _nucleic_charges(force_field, structure, residue) or _charges(structure, residue)
@@ -247,19 +247,19 @@ def _nucleic_charges(force_field: app.ForceField, structure: Structure, residue:
     # What missing atoms and hydrogens would have is spread over the others: the sum is that of the template.
     index = {a.name: a.index for a in residue.atoms()}
     pairs = ((index[a], b, k) for a, b in _ALONG if a in index for k in structure.neighbours[index[a]])
-    joined = {b for i, b, k in pairs if structure.atom_name[k] == b and k not in index.values()}
-    if not joined:
+    junctions = {b for i, b, k in pairs if structure.atom_name[k] == b and k not in index.values()}
+    if not junctions:
         return {}
-    end = "" if len(joined) == 2 else "5" if "P" in joined else "3"
-    usual = "A" if "O2'" in index else "DA"
-    names = (residue.name + end, usual + end)
+    end = "" if len(junctions) == 2 else "5" if "P" in junctions else "3"
+    standard = "A" if "O2'" in index else "DA"
+    names = (residue.name + end, standard + end)
     template = next((force_field._templates[n] for n in names if n in force_field._templates), None)
     if template is None or any("charge" not in a.parameters for a in template.atoms):
         return {}
-    known = {a.name: a.parameters["charge"] for a in template.atoms}
-    charges = {k: known.get(name, 0.0) for name, k in index.items()}
-    lacking = (sum(known.values()) - sum(charges.values())) / len(charges)
-    return {k: charge + lacking for k, charge in charges.items()}
+    template_charges = {a.name: a.parameters["charge"] for a in template.atoms}
+    charges = {k: template_charges.get(name, 0.0) for name, k in index.items()}
+    missing_charge = (sum(template_charges.values()) - sum(charges.values())) / len(charges)
+    return {k: charge + missing_charge for k, charge in charges.items()}
 
 
 def _add_template(
@@ -269,22 +269,22 @@ def _add_template(
     kinds: Mapping[str, "_Kind"],
 ) -> str:
     """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
-    for kind, of in kinds.items():
+    for kind, data in kinds.items():
         if kind not in force_field._atomTypes:
-            mass = app.Element.getBySymbol(of.symbol).mass._value
-            force_field.registerAtomType({"name": kind, "class": kind, "element": of.symbol, "mass": mass})
+            mass = app.Element.getBySymbol(data.symbol).mass._value
+            force_field.registerAtomType({"name": kind, "class": kind, "element": data.symbol, "mass": mass})
     _add_pairs(force_field, kinds)
-    made = app.ForceField._TemplateData(f"molecule-{residue.index}")
+    template = app.ForceField._TemplateData(f"molecule-{residue.index}")
     for a in residue.atoms():
         kind, charge = types[a.index]
-        made.addAtom(app.ForceField._TemplateAtomData(f"{a.index}", kind, a.element, {"charge": charge}))
+        template.addAtom(app.ForceField._TemplateAtomData(f"{a.index}", kind, a.element, {"charge": charge}))
     for bond in residue.internal_bonds():
-        made.addBondByName(*(f"{a.index}" for a in bond))
+        template.addBondByName(*(f"{a.index}" for a in bond))
     for bond in residue.external_bonds():
-        made.addExternalBondByName(f"{next(a.index for a in bond if a.residue is residue)}")
+        template.addExternalBondByName(f"{next(a.index for a in bond if a.residue is residue)}")
     # Not registered: it is for this residue only, and may be bonded as another that has a template.
-    force_field._templates[made.name] = made
-    return str(made.name)
+    force_field._templates[template.name] = template
+    return str(template.name)
 
 
 class _Kind(NamedTuple):
@@ -300,13 +300,13 @@ def _add_pairs(force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
     """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
     generators = {type(generator).__name__: generator for generator in force_field.getGenerators()}
     nonbonded, table = (generators.get(name) for name in ("NonbondedGenerator", "LennardJonesGenerator"))
-    for kind, of in kinds.items():
-        well = {"type": kind, "sigma": of.sigma, "epsilon": of.epsilon}
+    for kind, data in kinds.items():
+        well = {"type": kind, "sigma": data.sigma, "epsilon": data.epsilon}
         if table is not None:
             table.registerLennardJones(well)
             well |= {"sigma": 1.0, "epsilon": 0.0}
         if nonbonded is not None:
-            nonbonded.registerAtom(well | {"charge": of.charge})
+            nonbonded.registerAtom(well | {"charge": data.charge})
 
 
 def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
@@ -337,16 +337,16 @@ def _is_cap(bound: BoundLigand, i: int) -> bool:
     return bool(bound.core) and bound.ligand.molecule.names[i][-1] in "+-"
 
 
-def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
+def _ligand_atoms(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
     """Atoms of a fragment, by those of the structure, in each of its residues."""
-    framed: dict[int, dict[int, int]] = {}
+    atoms_by_residue: dict[int, dict[int, int]] = {}
     for i, k in enumerate(bound.atoms.tolist()):
         if k >= 0 and not _is_cap(bound, i):
-            framed.setdefault(int(structure.atom_residue[k]), {})[k] = i
-    return framed
+            atoms_by_residue.setdefault(int(structure.atom_residue[k]), {})[k] = i
+    return atoms_by_residue
 
 
-def _register(
+def _register_templates(
     force_field: app.ForceField,
     structure: Structure,
     residues: Sequence[Any],
@@ -359,17 +359,17 @@ def _register(
     # charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
     parameters, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
     core = bound.core or ("",) * len(bound.atoms)
-    beyond = sum(_of_end(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
+    excess = sum(_excess(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
     places = {r: place for r, place in places.items() if not all(core[i] for i in place.values())}
-    at = {k: i for place in places.values() for k, i in place.items()}
-    known = {r: _kept(force_field, residues[r], core, place) for r, place in places.items()}
-    fixed = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
-    charge = {k: fixed.get(k, float(parameters.charge[i])) for k, i in at.items()}
+    index = {k: i for place in places.values() for k, i in place.items()}
+    core_types = {r: _core_types(force_field, residues[r], core, place) for r, place in places.items()}
+    fixed = {k: charge for row in core_types.values() for k, (_, charge) in row.items() if charge is not None}
+    charge = {k: fixed.get(k, float(parameters.charge[i])) for k, i in index.items()}
     if bound.core:  # A ligand has the charge that it has.
-        rest = [k for k in at if k not in fixed]
-        lacking = (int(formal[[*at.values()]].sum()) + beyond - sum(charge.values())) / len(rest)
-        charge |= {k: charge[k] + lacking for k in rest}
-    chosen = {}
+        free = [k for k in index if k not in fixed]
+        missing = (int(formal[[*index.values()]].sum()) + excess - sum(charge.values())) / len(free)
+        charge |= {k: charge[k] + missing for k in free}
+    names = {}
     for r, place in places.items():
         types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
         for a in residues[r].atoms():
@@ -378,65 +378,65 @@ def _register(
                 kinds[types[k][0]] = kind
                 continue
             i = place[k]
-            types[k] = known[r][k][0] if k in known[r] else f"molecule-{r}-{a.name}", charge[k]
-            if k not in known[r]:
+            types[k] = core_types[r][k][0] if k in core_types[r] else f"molecule-{r}-{a.name}", charge[k]
+            if k not in core_types[r]:
                 kinds[types[k][0]] = _Kind(
                     a.element.symbol, charge[k], float(parameters.sigma[i]), float(parameters.epsilon[i])
                 )
-        chosen[residues[r]] = _add_template(force_field, residues[r], types, kinds)
-    return chosen
+        names[residues[r]] = _add_template(force_field, residues[r], types, kinds)
+    return names
 
 
-def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> float:
+def _excess(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> float:
     """Charge that a nucleotide at an end of a strand has beyond a whole one; the other end lacks it."""
     kind = next(
         (name.partition("/")[0].removeprefix(PHOSPHATE_END).rstrip("35N") for name in core if "/" in name), ""
     )
-    joined = {
+    bonds = {
         tuple(a.name for a in sorted(bond, key=lambda a: a.residue is not residue))
         for bond in residue.external_bonds()
     }
-    end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in joined, ("O3'", "P") in joined), "")
+    end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in bonds, ("O3'", "P") in bonds), "")
     template = force_field._templates.get(kind + end) if kind and end else None
     charge = sum(a.parameters["charge"] for a in template.atoms) if template else 0.0
     return float(charge - round(charge))
 
 
-def _kept(
-    force_field: app.ForceField, residue: Any, called: Sequence[str], place: Mapping[int, int]
+def _core_types(
+    force_field: app.ForceField, residue: Any, core_names: Sequence[str], place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
     """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide."""
     # C-beta has no charge, nor what bears a modified base.
-    core = {called[i].rpartition("/")[2]: k for k, i in place.items() if called[i]}
+    core = {core_names[i].rpartition("/")[2]: k for k, i in place.items() if core_names[i]}
     if not core:
         return {}
-    (base,) = {called[i].rpartition("/")[0] for i in place.values() if called[i]}
+    (base,) = {core_names[i].rpartition("/")[0] for i in place.values() if core_names[i]}
     end = "N" if "H1" in core else "C" if "OXT" in core else ""
     template = force_field._templates.get(base or end + ("GLY" if "HA2" in core else "ALA"))
-    known = {a.name: a for a in template.atoms if "charge" in a.parameters} if template else {}
-    if not core.keys() <= known.keys():
+    atoms = {a.name: a for a in template.atoms if "charge" in a.parameters} if template else {}
+    if not core.keys() <= atoms.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
     changed = {"CB"} if not base else {"C1'", "H1'"} if residue.name not in base else set()
     types = {
-        k: (known[name].type, None if name in changed else known[name].parameters["charge"])
+        k: (atoms[name].type, None if name in changed else atoms[name].parameters["charge"])
         for name, k in core.items()
     }
     if not base and "N" in core and not end and "H" not in core:
         proline = next(a for a in force_field._templates["PRO"].atoms if a.name == "N")
-        types[core["N"]] = known["N"].type, proline.parameters["charge"]
+        types[core["N"]] = atoms["N"].type, proline.parameters["charge"]
     return types
 
 
 def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
     """Add the bonded terms of a molecule that touch its own atoms, in place of the force field's."""
-    terms, at = bound.ligand.parameters, bound.atoms
-    core = bound.core or ("",) * len(at)
-    added = {k for i, k in enumerate(at.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
+    terms, ids = bound.ligand.parameters, bound.atoms
+    core = bound.core or ("",) * len(ids)
+    inner = {k for i, k in enumerate(ids.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
     bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
     torsions = _force(system, openmm.PeriodicTorsionForce)
     for k in range(torsions.getNumTorsions() if bound.core else 0):
         *atoms, n, phase, _ = torsions.getTorsionParameters(k)
-        if added & {*atoms}:  # By a rule for any atoms about a bond.
+        if inner & {*atoms}:  # By a rule for any atoms about a bond.
             torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
     for term, add in (
         (terms.bonds, bonds.addBond),
@@ -444,12 +444,12 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
         (terms.torsions, lambda i, j, k, m, n, *values: torsions.addTorsion(i, j, k, m, round(n), *values)),
     ):
         for places, values in zip(term.atoms.tolist(), term.parameters.tolist(), strict=True):
-            atoms = at[places].tolist()
-            if min(atoms) >= 0 and added & {*atoms}:
+            atoms = ids[places].tolist()
+            if min(atoms) >= 0 and inner & {*atoms}:
                 add(*atoms, *values)
-            elif added & {*atoms} and (gone := [i for i in places if at[i] < 0 and not _is_cap(bound, i)]):
+            elif inner & {*atoms} and (gaps := [i for i in places if ids[i] < 0 and not _is_cap(bound, i)]):
                 raise ForceFieldError(
-                    f"{bound.ligand.molecule.names[gone[0]]} has terms of a bond between residues, but the "
+                    f"{bound.ligand.molecule.names[gaps[0]]} has terms of a bond between residues, but the "
                     "structure lacks it: leave that bond out of the file"
                 )
 
@@ -463,60 +463,60 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
     return system.getForce(system.getNumForces() - 1)
 
 
-def _linked(structure: Structure) -> dict[int, set[int]]:
+def _linked_atoms(structure: Structure) -> dict[int, set[int]]:
     """Residues of the protein without hydrogens where a bond joins them to others, and these atoms."""
-    linked: dict[int, set[int]] = {}
+    atoms: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
         for inner, outer in ((first, second), (second, first)):
             if structure.kept[outer] and not structure.kept[inner] and not metal[outer]:
-                linked.setdefault(int(structure.atom_residue[inner]), set()).add(inner)
-    of, name = structure.atom_residue, structure.atom_name
-    rings = np.unique(of[(structure.residue_name[of] == "HIS") & ~structure.kept])
-    protonated = {*of[np.isin(name, ["HD1", "HE2"])].tolist()}
+                atoms.setdefault(int(structure.atom_residue[inner]), set()).add(inner)
+    residue, name = structure.atom_residue, structure.atom_name
+    rings = np.unique(residue[(structure.residue_name[residue] == "HIS") & ~structure.kept])
+    protonated = {*residue[np.isin(name, ["HD1", "HE2"])].tolist()}
     for r in (r for r in rings.tolist() if r not in protonated):
-        linked.setdefault(r, set()).update(np.flatnonzero((of == r) & (name == "NE2")).tolist())
-    return linked
+        atoms.setdefault(r, set()).update(np.flatnonzero((residue == r) & (name == "NE2")).tolist())
+    return atoms
 
 
-def _glycosylated(residue: Any) -> str:
+def _glycam_name(residue: Any) -> str:
     """GLYCAM's name of a residue that bears a sugar: ``NLN``; at the ends of a chain ``NNLN``, ``CNLN``."""
     names = {a.name for a in residue.atoms()}
     return ("C" if "OXT" in names else "N" if "H2" in names else "") + GLYCOSYLATED[residue.name]
 
 
-def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
+def _linked_template(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
     """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name."""
     # The charge of a hydrogen goes to the atom that had it.
     atoms = {a.name: a for a in residue.atoms() if a.element.symbol != "H"}
-    open_to = {a.name for a in atoms.values() if a.index in set(linked)}
-    have = dict.fromkeys(atoms, 0)
+    links = {a.name for a in atoms.values() if a.index in set(linked)}
+    count = dict.fromkeys(atoms, 0)
     for bond in residue.internal_bonds():
         names = [a.name for a in bond if a.name in atoms]
         if len(names) == 1:
-            have[names[0]] += 1
-    fitting = [
+            count[names[0]] += 1
+    candidates = [
         (sum(expected.values()), template)
         for template in force_field._templates.values()
-        if (expected := _hydrogens(template)).keys() == have.keys()
-        and all(n == have[name] or (n > have[name] and name in open_to) for name, n in expected.items())
+        if (expected := _hydrogens(template)).keys() == count.keys()
+        and all(n == count[name] or (n > count[name] and name in links) for name, n in expected.items())
     ]
-    if not fitting:
+    if not candidates:
         raise ForceFieldError(
             f"residue {residue.name} is bonded to a molecule kept with the protein, and the force field "
             "has no template for it; leave the molecule out: keep none, or the names of others"
         )
     # CYS before CYM: the bond takes the place of the hydrogen.
-    base = max(fitting, key=lambda pair: pair[0])[1]
-    made = _without(base, have)
-    if residue.name == "HIS" and open_to == {"NE2"}:
-        for a in made.atoms:
+    base = max(candidates, key=lambda pair: pair[0])[1]
+    variant = _remove_hydrogens(base, count)
+    if residue.name == "HIS" and links == {"NE2"}:
+        for a in variant.atoms:
             a.parameters["charge"] -= (a.name in _IMIDAZOLE) / len(_IMIDAZOLE)
     for bond in residue.external_bonds():
-        made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
-    made.name = f"{base.name}-linked-{residue.index}"
-    force_field.registerResidueTemplate(made)
-    return str(made.name)
+        variant.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
+    variant.name = f"{base.name}-linked-{residue.index}"
+    force_field.registerResidueTemplate(variant)
+    return str(variant.name)
 
 
 _IMIDAZOLE = ("CG", "ND1", "CD2", "CE1", "NE2")
@@ -532,38 +532,38 @@ def _hydrogens(template: Any) -> dict[str, int]:
     }
 
 
-def _without(base: Any, have: Mapping[str, int]) -> Any:
+def _remove_hydrogens(base: Any, count: Mapping[str, int]) -> Any:
     """Copy of a template with as many hydrogens on each heavy atom as it is to have, and no outer bonds."""
-    gone: dict[int, int] = {}
+    owner: dict[int, int] = {}
     for i, a in enumerate(base.atoms):
-        if a.name in have:
+        if a.name in count:
             hydrogens = [k for k in a.bondedTo if base.atoms[k].element.symbol == "H"]
-            gone |= dict.fromkeys(hydrogens[have[a.name] :], i)
-    made = type(base)(base.name)
-    made.attributes = dict(base.attributes)
+            owner |= dict.fromkeys(hydrogens[count[a.name] :], i)
+    template = type(base)(base.name)
+    template.attributes = dict(base.attributes)
     for i, a in enumerate(base.atoms):
-        if i not in gone:
-            new = copy.copy(a)
-            new.bondedTo, new.externalBonds, new.parameters = [], 0, dict(a.parameters)
+        if i not in owner:
+            new_atom = copy.copy(a)
+            new_atom.bondedTo, new_atom.externalBonds, new_atom.parameters = [], 0, dict(a.parameters)
             if "charge" in a.parameters:
-                used = sum(base.atoms[k].parameters["charge"] for k, parent in gone.items() if parent == i)
-                new.parameters["charge"] += used
-            made.addAtom(new)
+                charge = sum(base.atoms[k].parameters["charge"] for k, parent in owner.items() if parent == i)
+                new_atom.parameters["charge"] += charge
+            template.addAtom(new_atom)
     for i, j in base.bonds:
-        if i not in gone and j not in gone:
-            made.addBondByName(base.atoms[i].name, base.atoms[j].name)
-    return made
+        if i not in owner and j not in owner:
+            template.addBondByName(base.atoms[i].name, base.atoms[j].name)
+    return template
 
 
-def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
+def _excluded_pairs(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
     """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
-    n, bonds, kept, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
-    across = (kept[bonds[:, 0]] != kept[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
+    n, bonds, is_hetero, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
+    across = (is_hetero[bonds[:, 0]] != is_hetero[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
     across |= np.diff(structure.obstacle[bonds]).ravel() | structure.coordination
     pairs: set[tuple[int, int]] = set()
     if across.any():
-        near, without = (map(tuple, pairs_within(some, n, 3).tolist()) for some in (bonds, bonds[~across]))
-        pairs = {*near} - {*without}
+        near, inner = (map(tuple, pairs_within(graph, n, 3).tolist()) for graph in (bonds, bonds[~across]))
+        pairs = {*near} - {*inner}
     atoms = np.flatnonzero(structure.obstacle)
     if len(atoms):
         touching = atoms[KDTree(structure.positions[atoms]).query_pairs(_TOUCHING, output_type="ndarray")]
@@ -582,9 +582,9 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
             for i, j in pairs:
                 force.addException(i, j, 0.0, 1.0, 0.0, True)
         elif isinstance(force, openmm.CustomNonbondedForce):
-            known = {tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())}
+            old = {tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())}
             for i, j in pairs:
-                if (i, j) not in known:
+                if (i, j) not in old:
                     force.addExclusion(i, j)
         elif isinstance(force, openmm.CustomBondForce):
             # Scaled pairs of CHARMM that have become excluded.
@@ -614,18 +614,18 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
             )
             new[metal] -= share * len(donor_atoms)
             new[donor_atoms] += share
-    changed = {*np.flatnonzero(new != old).tolist()}
-    for i in sorted(changed):
+    changed_atoms = {*np.flatnonzero(new != old).tolist()}
+    for i in sorted(changed_atoms):
         _, sigma, epsilon = nonbonded.getParticleParameters(i)
         nonbonded.setParticleParameters(i, new[i], sigma, epsilon)
     for k in range(nonbonded.getNumExceptions()):
         i, j, product, sigma, epsilon = nonbonded.getExceptionParameters(k)
-        if product._value and (i in changed or j in changed):
+        if product._value and (i in changed_atoms or j in changed_atoms):
             scaled = product._value * new[i] * new[j] / (old[i] * old[j])
             nonbonded.setExceptionParameters(k, i, j, scaled, sigma, epsilon)
     for force in system.getForces():
         if isinstance(force, openmm.CustomGBForce):
-            for i in sorted(changed):
+            for i in sorted(changed_atoms):
                 force.setParticleParameters(i, [new[i], *force.getParticleParameters(i)[1:]])
 
 
@@ -634,9 +634,9 @@ def _springs(ties: Iterable[Tie]) -> list[openmm.Force]:
     bonds, angles = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
     for tie in ties:
         (bonds.addBond if len(tie.atoms) == 2 else angles.addAngle)(*tie.atoms, tie.rest, tie.stiffness)
-    made: list[openmm.Force] = []
+    forces: list[openmm.Force] = []
     for force, count in ((bonds, bonds.getNumBonds()), (angles, angles.getNumAngles())):
         force.setName(TIES)
         if count:
-            made.append(force)
-    return made
+            forces.append(force)
+    return forces

@@ -35,7 +35,7 @@ from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB_CUSTOM
-from protochain.energies.on_device import PLATFORMS, DeviceEnergy, chosen
+from protochain.energies.on_device import PLATFORMS, DeviceEnergy, choose_device
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_expressions, check_passive
@@ -70,7 +70,7 @@ FORCE_FIELDS = {
 
 SOLVENTS = ("vacuum", "obc2", "gbn2")
 
-_BESIDE = {
+_HETERO_FILES = {
     "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
     "amber19": ("amber19/tip3p.xml", "amber19/DNA.OL21.xml", "amber14/RNA.OL3.xml"),
     "amber99sb": ("tip3p.xml",),
@@ -99,20 +99,20 @@ def has_energy(source: Any) -> bool:
     return getattr(source, "energy_function", None) is not None
 
 
-def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> Energy:
+def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[str, Any]) -> Energy:
     """Energy of a source: its own, if it has one, in which what is named is replaced."""
     if not has_energy(source):
-        return build(source, **named)
-    own: Energy = source.energy_function
-    settings = dict(getattr(own, "settings", {}))
-    is_another = bool(named.keys() & _FUNCTION)
-    if not named or not (settings or is_another):  # A callable is computed in one way only.
-        return own
-    if not own.atoms and not is_another:
-        settings["system"] = own.system
-    if "forcefield" in named:
+        return build(source, **arguments)
+    source_energy: Energy = source.energy_function
+    settings = dict(getattr(source_energy, "settings", {}))
+    is_another = bool(arguments.keys() & _FUNCTION)
+    if not arguments or not (settings or is_another):  # A callable is computed in one way only.
+        return source_energy
+    if not source_energy.atoms and not is_another:
+        settings["system"] = source_energy.system
+    if "forcefield" in arguments:
         settings.pop("trust_forcefield", None)  # Another file is not trusted with the first.
-    return build(source, **(settings | named))
+    return build(source, **(settings | arguments))
 
 
 @checked(
@@ -121,7 +121,7 @@ def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> 
     threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
-@inheriting(_as_of)
+@inheriting(_inherit_energy)
 @part("energy")
 def energy(
     structure: Any,
@@ -205,8 +205,8 @@ def energy(
         )
     structure = as_structure(structure)
     if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
-        other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
-        raise ForceFieldError(Argument("accuracy"), " is of a tree by the native engine, and not of ", *other)
+        cause = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
+        raise ForceFieldError(Argument("accuracy"), " is of a tree by the native engine, and not of ", *cause)
     if system is not None and system.getNumParticles() != structure.n_atoms:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
@@ -216,7 +216,7 @@ def energy(
     rule = _rule_of(engine, solvent, structure.n_atoms) if is_free else _EXACT
     accuracy = rule.accuracy if accuracy == "auto" else accuracy
     cutoff = rule.cutoff if cutoff == "auto" else cutoff
-    device = "cpu" if engine == "native" else chosen(device, structure.n_atoms)
+    device = "cpu" if engine == "native" else choose_device(device, structure.n_atoms)
 
     def by_openmm(cutoff: float | None) -> OpenMMEnergy:
         if system is not None:
@@ -226,25 +226,25 @@ def energy(
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
         note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml" if solvent == "obc2" else ""
         if terms == "nonbonded":
-            _leave_out_torsions(built)
-        called = forcefield + NONBONDED if terms == "nonbonded" else forcefield
-        return OpenMMEnergy(built, "CPU", threads, called, solvent, note, structure.fingerprint, settings)
+            _remove_torsions(built)
+        label = forcefield + NONBONDED if terms == "nonbonded" else forcefield
+        return OpenMMEnergy(built, "CPU", threads, label, solvent, note, structure.fingerprint, settings)
 
     reference = by_openmm(cutoff)
-    made = by_engine(engine, reference)
+    potential = choose_engine(engine, reference)
     if device != "cpu":
-        return DeviceEnergy(made, reference, device, None if accuracy == "exact" else float(accuracy))
+        return DeviceEnergy(potential, reference, device, None if accuracy == "exact" else float(accuracy))
     # What the native engine cannot do, OpenMM does by its own rule.
     fallback = _rule_of("openmm", solvent, structure.n_atoms)
-    if is_free and system is None and not isinstance(made, NativeEnergy) and fallback.cutoff != cutoff:
+    if is_free and system is None and not isinstance(potential, NativeEnergy) and fallback.cutoff != cutoff:
         settings |= {"device": "cpu", "cutoff": fallback.cutoff}
-        return by_engine(engine, by_openmm(fallback.cutoff))
-    if isinstance(made, NativeEnergy) and accuracy != "exact":
-        return made.to_accuracy(float(accuracy), structure.positions)
+        return choose_engine(engine, by_openmm(fallback.cutoff))
+    if isinstance(potential, NativeEnergy) and accuracy != "exact":
+        return potential.to_accuracy(float(accuracy), structure.positions)
     is_measured = system is None and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO
-    if isinstance(made, NativeEnergy) and is_measured:
-        reference.note += f"; {made.cutoff_error(structure.positions)}"
-    return made
+    if isinstance(potential, NativeEnergy) and is_measured:
+        reference.note += f"; {potential.cutoff_error(structure.positions)}"
+    return potential
 
 
 class _Rule(NamedTuple):
@@ -319,11 +319,11 @@ def build_system(
     parts = force_field_parts(forcefield)
     bundled = [_bundled_file(part) for part in parts]
     files = checked_files(parts, trust_forcefield)
-    files += _phosphates(structure, parts)
+    files += _phosphate_files(structure, parts)
     if structure.kept.any():
-        beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
-        files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
-        has_nucleotides = any("/DNA." in name for name in beside)
+        hetero_files = [str(DATA / name) for part in parts for name in _HETERO_FILES.get(part, ())]
+        files += [name for name in dict.fromkeys(hetero_files) if Path(name).exists()]
+        has_nucleotides = any("/DNA." in name for name in hetero_files)
         files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
         strands = [
             name for name in files if isinstance(name, str) and Path(name).name[:4] in ("DNA.", "RNA.")
@@ -347,7 +347,7 @@ def build_system(
         remedy = ("; without modified residues: ", Argument("standard_residues", True))
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}",
-            *(remedy if structure.fragments or _phosphorylated(structure) else ()),
+            *(remedy if structure.fragments or _phosphorylated_names(structure) else ()),
         ) from None
     _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():
@@ -357,19 +357,19 @@ def build_system(
 
 def _has_junctions(structure: Structure) -> bool:
     """Whether nucleotides of DNA and RNA are bonded to one another."""
-    of = structure.residue_name[structure.atom_residue[structure.bonds]]
-    nucleic = np.isin(of, [*NUCLEOTIDES]).all(axis=1)
-    return bool((np.diff(np.char.startswith(of[nucleic].astype(str), "D").astype(int), axis=1) != 0).any())
+    names = structure.residue_name[structure.atom_residue[structure.bonds]]
+    nucleic = np.isin(names, [*NUCLEOTIDES]).all(axis=1)
+    return bool((np.diff(np.char.startswith(names[nucleic].astype(str), "D").astype(int), axis=1) != 0).any())
 
 
-def _phosphorylated(structure: Structure) -> set[str]:
+def _phosphorylated_names(structure: Structure) -> set[str]:
     """Names of the phosphorylated residues of the protein."""
     return {*structure.residue_name[structure.atom_residue[~structure.kept]].tolist()} & PHOSPHORYLATED
 
 
-def _phosphates(structure: Structure, parts: Sequence[str]) -> list[str]:
+def _phosphate_files(structure: Structure, parts: Sequence[str]) -> list[str]:
     """Files with the parameters of phosphorylated residues, if it has any that the user's files lack."""
-    names = _phosphorylated(structure)
+    names = _phosphorylated_names(structure)
     if not names:
         return []
     if names <= defined([Path(part) for part in parts if _bundled_file(part) is None]):
@@ -396,7 +396,7 @@ _TABULATED = "LennardJones"
 """Name of the force that OpenMM makes of a table of pairs."""
 
 
-def by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
+def choose_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
     """Choose the engine; ``auto`` falls back on OpenMM and notes why."""
     if engine == "openmm":
         return by_openmm
@@ -410,7 +410,7 @@ def by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
 
 
 def _force_field(*files: str | bytes) -> app.ForceField:
-    return app.ForceField(*(io.BytesIO(each) if isinstance(each, bytes) else each for each in files))
+    return app.ForceField(*(io.BytesIO(file) if isinstance(file, bytes) else file for file in files))
 
 
 _bundled_force_field = cache(_force_field)
@@ -434,8 +434,8 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
         content = regular(path).read_bytes()
         root = ElementTree.fromstring(content)
     except OSError:
-        known = ", ".join(FORCE_FIELDS)
-        raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {known}") from None
+        names = ", ".join(FORCE_FIELDS)
+        raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {names}") from None
     except ElementTree.ParseError as error:
         raise ForceFieldError(f"{path}: {NO_XML} ({error}); {CONVERT}") from None
     if root.tag == SMIRNOFF:
@@ -456,9 +456,9 @@ def _torsion_forces(system: openmm.System) -> list[int]:
     return [i for i, force in enumerate(system.getForces()) if "Torsion" in type(force).__name__]
 
 
-def _leave_out_torsions(system: openmm.System) -> None:
-    for place in reversed(_torsion_forces(system)):
-        system.removeForce(place)
+def _remove_torsions(system: openmm.System) -> None:
+    for index in reversed(_torsion_forces(system)):
+        system.removeForce(index)
 
 
 def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None) -> None:

@@ -50,11 +50,11 @@ class Springs(Protocol):
         """(na, 3) nm."""
 
 
-def chosen(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM) -> str:
+def choose_device(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM) -> str:
     """Device that computes an energy of so many atoms; of ``auto`` a GPU, if there is one and it pays."""
     if device != "auto":
         return device
-    usable = (name for name in PLATFORMS if name != _OFTEN_A_PROCESSOR and name in _registered())
+    usable = (name for name in PLATFORMS if name != _OFTEN_A_PROCESSOR and name in _loaded_devices())
     return next(usable, "cpu") if n_atoms >= fewest else "cpu"
 
 
@@ -71,22 +71,22 @@ def devices() -> list[str]:
     >>> [line.split(":")[0] for line in pc.energies.devices()]
     ['cuda', 'hip', 'opencl']
     """
-    failures, told = openmm.Platform.getPluginLoadFailures(), list[str]()
+    failures, lines = openmm.Platform.getPluginLoadFailures(), list[str]()
     for device, platform in PLATFORMS.items():
-        if device in _registered():
-            at = openmm.Platform.getPlatform(platform)
+        if device in _loaded_devices():
+            gpu = openmm.Platform.getPlatform(platform)
             try:
-                names = [dict(each).get("DeviceName", "") for each in at.getDevices()]
+                names = [dict(properties).get("DeviceName", "") for properties in gpu.getDevices()]
             except (AttributeError, openmm.OpenMMException) as error:  # Of older versions; without a driver.
                 names = [f"its devices are not known ({_line(error)})"]
-            told.append(f"{device}: {', '.join(filter(None, [f'OpenMM {at.getOpenMMVersion()}', *names]))}")
+            lines.append(f"{device}: {', '.join(filter(None, [f'OpenMM {gpu.getOpenMMVersion()}', *names]))}")
         else:
-            why = (_line(each) for each in failures if platform.lower() in each.lower())
-            told.append(f"{device}: none, {next(why, f'OpenMM has no platform {platform}')}")
-    return told
+            reasons = (_line(text) for text in failures if platform.lower() in text.lower())
+            lines.append(f"{device}: none, {next(reasons, f'OpenMM has no platform {platform}')}")
+    return lines
 
 
-def _registered() -> set[str]:
+def _loaded_devices() -> set[str]:
     """Devices whose platforms OpenMM has loaded."""
     names = {openmm.Platform.getPlatform(k).getName() for k in range(openmm.Platform.getNumPlatforms())}
     return {device for device, platform in PLATFORMS.items() if platform in names}
@@ -103,9 +103,9 @@ def _lock(name: str, folder: Path, process: int) -> Any:
     return FileLock(folder / f"protochain-{getuser()}-{name}.lock")
 
 
-def begun(energy: Energy, x: Floats) -> Energy:
+def prepare_energy(energy: Energy, x: Floats) -> Energy:
     """The energy as a run from x (na, 3), nm, evaluates it: the processor's where a device cannot."""
-    return energy.begun(x) if isinstance(energy, DeviceEnergy) else energy
+    return energy.prepare(x) if isinstance(energy, DeviceEnergy) else energy
 
 
 class DeviceEnergy(OpenMMEnergy):
@@ -121,9 +121,9 @@ class DeviceEnergy(OpenMMEnergy):
         super().__init__(by_openmm.system, PLATFORMS[device], None, *by_openmm._names)
         self.processor, self.by_openmm, self.accuracy = processor, by_openmm, accuracy
         self.device, self.threads = device, by_openmm.threads
-        self._made: tuple[Integers, openmm.Context] | None = None
+        self._current: tuple[Integers, openmm.Context] | None = None
         """Atoms that are fixed beside those without mass, and the context."""
-        self._held: Springs | None = None
+        self._active_springs: Springs | None = None
         self.failed = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -146,21 +146,21 @@ class DeviceEnergy(OpenMMEnergy):
     @property
     def terms(self) -> Terms:
         """Terms as arrays; none where the native engine does not know them."""
-        known: Any = self.processor
-        return known.terms
+        processor: Any = self.processor
+        return processor.terms
 
     @property
     def minimises(self) -> bool:
         """Whether OpenMM's own minimiser runs there."""
         return self.device != _OFTEN_A_PROCESSOR and not self.failed
 
-    def begun(self, x: Floats) -> Energy:
+    def prepare(self, x: Floats) -> Energy:
         """The energy as a run from x (na, 3), nm, evaluates it: itself, or the processor's if it fails."""
         try:
             if not self.failed:
                 self._context_of(None)
         except DeviceError as error:
-            self._fails(error, x)
+            self._fall_back(error, x)
         return self.processor if self.failed else self
 
     @cached_property
@@ -172,10 +172,10 @@ class DeviceEnergy(OpenMMEnergy):
     def _context_of(self, moving: NDArray[np.bool_] | None) -> openmm.Context:
         """Context in which atoms (na,) may move; None: any."""
         fixed = None if moving is None else np.flatnonzero(~moving & self._massive)
-        if self._made is not None and (fixed is None or np.array_equal(fixed, self._made[0])):
-            return self._made[1]
+        if self._current is not None and (fixed is None or np.array_equal(fixed, self._current[0])):
+            return self._current[1]
         fixed = np.empty(0, np.int64) if fixed is None else fixed
-        self._made = self._held = None  # Memory of the device holds one.
+        self._current = self._active_springs = None  # Memory of the device holds one.
         visible = "-".join(filter(None, (os.environ.get(name) for name in _VISIBLE))).replace(os.sep, "_")
         try:
             # Held until the process ends.
@@ -199,11 +199,11 @@ class DeviceEnergy(OpenMMEnergy):
         system.addForce(springs)
         try:
             platform = openmm.Platform.getPlatform(self.platform)
-            made = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, self._properties)
+            context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, self._properties)
         except openmm.OpenMMException as error:
             raise DeviceError(_line(error)) from None
-        self._made = fixed, made
-        return made
+        self._current = fixed, context
+        return context
 
     @property
     def _properties(self) -> dict[str, str]:
@@ -213,9 +213,9 @@ class DeviceEnergy(OpenMMEnergy):
     def _context(self) -> openmm.Context:
         return self._context_of(None)
 
-    def _fails(self, error: Exception, x: Floats) -> None:
+    def _fall_back(self, error: Exception, x: Floats) -> None:
         """From now on the processor computes, from x (na, 3), nm, on; says so."""
-        self.failed, self._made = f"not by {self.platform}: {_line(error)}", None
+        self.failed, self._current = f"not by {self.platform}: {_line(error)}", None
         self.by_openmm.note = f"{self.by_openmm.note}; {self.failed}".removeprefix("; ")
         if self.accuracy is not None and isinstance(self.processor, NativeEnergy):
             self.processor = self.processor.to_accuracy(self.accuracy, x)
@@ -227,14 +227,14 @@ class DeviceEnergy(OpenMMEnergy):
             try:
                 return super().__call__(x)
             except (DeviceError, openmm.OpenMMException) as error:
-                self._fails(error, x)
+                self._fall_back(error, x)
         return self.processor(x)
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Energies by kind, and forces, on the processor."""
         return self.processor.parts(x)
 
-    def descended(
+    def descend(
         self, x: Floats, moving: NDArray[np.bool_], springs: Springs | None, tolerance: float, n: int
     ) -> Floats | None:
         """Positions after at most n iterations of OpenMM's minimiser from x (na, 3), nm; None if it fails.
@@ -244,20 +244,20 @@ class DeviceEnergy(OpenMMEnergy):
         x = floats(x, (len(moving), 3), "x", "nanometer")
         try:
             context = self._context_of(moving)
-            if springs is not None and springs is not self._held:
+            if springs is not None and springs is not self._active_springs:
                 for atom, (k, home) in enumerate(zip(springs.weight, springs.home, strict=True)):
                     self._springs.setParticleParameters(atom, atom, [k, *home])
                 self._springs.updateParametersInContext(context)
-                self._held = springs
+                self._active_springs = springs
             context.setPositions(x)
             context.setParameter("held", float(springs is not None))
             # OpenMM takes the RMS length over all atoms.
             lengths = tolerance * np.sqrt(3 * moving.sum() / len(moving))
             openmm.LocalEnergyMinimizer.minimize(context, lengths, n)
             context.setParameter("held", 0.0)
-            at = context.getState(positions=True).getPositions(asNumpy=True)._value
+            positions = context.getState(positions=True).getPositions(asNumpy=True)._value
         except (DeviceError, openmm.OpenMMException) as error:
             if "nan" not in str(error).lower():  # As where atoms coincide: ours goes on from there.
-                self._fails(error, x)
+                self._fall_back(error, x)
             return None
-        return np.asarray(at, dtype=np.float64)
+        return np.asarray(positions, dtype=np.float64)

@@ -142,19 +142,19 @@ class OpenMMEnergy:
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by force of the System, as ``HarmonicBondForce``: see :meth:`Energy.parts`."""
         x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
-        found: dict[str, float] = {}
+        energies: dict[str, float] = {}
         names = [force.getName() for force in self.system.getForces()]
         # Each in a System of its own: OpenMM has only 32 groups of forces.
         for k, name in enumerate(names):
-            alone = copy.deepcopy(self.system)
-            for other in reversed(range(len(names))):
-                if other != k:
-                    alone.removeForce(other)
-            context = self.make_context(alone)
+            single = copy.deepcopy(self.system)
+            for index in reversed(range(len(names))):
+                if index != k:
+                    single.removeForce(index)
+            context = self.make_context(single)
             context.setPositions(x)
             value = context.getState(energy=True).getPotentialEnergy()
-            found[name] = found.get(name, 0.0) + value.value_in_unit(unit.kilojoule_per_mole)
-        return found, self(x)[1]
+            energies[name] = energies.get(name, 0.0) + value.value_in_unit(unit.kilojoule_per_mole)
+        return energies, self(x)[1]
 
     def __repr__(self) -> str:
         return f"<OpenMMEnergy {self.forcefield}, {self.solvent}: {self.reason}>"

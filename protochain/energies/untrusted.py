@@ -82,15 +82,15 @@ def check_expressions(path: Path, root: ElementTree.Element) -> None:
 def _is_small(text: str) -> bool:
     if len(text) > _LONGEST:
         return False
-    known: dict[str, tuple[int, int]] = {}
+    definitions: dict[str, tuple[int, int]] = {}
     for part in reversed(text.split(";")):
         name, _, formula = part.rpartition("=")
         size = depth = deepest = 0
         for token in _TOKEN.findall(formula):
             depth += (token == "(") - (token == ")")
-            its, nested = known.get(token, (_WEIGHTS.get(token, 1), 0))
-            size, deepest = size + its, max(deepest, depth + nested)
-        known[name.strip()] = size, deepest
+            token_size, nested = definitions.get(token, (_WEIGHTS.get(token, 1), 0))
+            size, deepest = size + token_size, max(deepest, depth + nested)
+        definitions[name.strip()] = size, deepest
         if size > _LARGEST or deepest > _DEEPEST:
             return False
     return True

@@ -47,7 +47,7 @@ class DeviceDescent:
         if n < 1:
             raise BudgetSpentError
         assert isinstance(space, Cartesian)
-        x = energy.descended(state.at.x, space.moving, tethers, _STRICTER * self.tolerance, n)
+        x = energy.descend(state.at.x, space.moving, tethers, _STRICTER * self.tolerance, n)
         if x is None:
             return None
         problem.tally = replace(problem.tally, n_evaluations=problem.n_evaluations + n)

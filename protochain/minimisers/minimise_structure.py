@@ -25,7 +25,7 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import document_settings, settings_from
-from protochain.core.timings import timed, until_now
+from protochain.core.timings import measure_run, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
@@ -119,7 +119,7 @@ def minimise(
     ('converged', True)
     """
     run = settings_from(Minimisation, locals(), recipe=recipe_of(method))
-    with timed():
+    with measure_run():
         cut, energy = with_energy(chain, energy)
         if q is not None:
             cut = rebuilt(cut, pose(cut, floats(q, (cut.n_q,), "q")).x)
@@ -184,7 +184,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 
 
 @held_interrupts()
-@timed()
+@measure_run()
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native.neighbours import wider
+from protochain.energies.native.neighbours import grow_rows
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract, vector
 
 STIFFEST = 1e6
@@ -201,7 +201,7 @@ def free_pairs(
                         is_free &= partner[p] != j
                     if is_free:
                         if n_pairs == len(pairs):
-                            pairs = wider(pairs, 2 * n_pairs)
+                            pairs = grow_rows(pairs, 2 * n_pairs)
                         pairs[n_pairs, 0], pairs[n_pairs, 1] = i, j
                         n_pairs += 1
     return pairs[:n_pairs].copy()

@@ -13,7 +13,7 @@ from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import refused
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.energies.custom import answer, check_forces, name_of
+from protochain.energies.custom import call_user, check_forces, name_of
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
 from protochain.structure.superpose import superpose
@@ -133,7 +133,7 @@ class UserRestraint:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; an error names the callable that returns anything else."""
-        return answer(self.function, x, self._name)
+        return call_user(self.function, x, self._name)
 
     def check(self, x: Floats) -> None:
         """Refuse forces that are not those of the energy."""

@@ -9,7 +9,7 @@ from protochain.chains.articulate import with_free_root
 from protochain.chains.chain import Chain, Pose, pose
 from protochain.core import defaults
 from protochain.core.arrays import Floats
-from protochain.energies.on_device import begun
+from protochain.energies.on_device import prepare_energy
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.judging import CachedEnergy
@@ -29,7 +29,7 @@ class Start:
     judge: str = defaults.JUDGE  # One of ``settings.JUDGES``.
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "energy", begun(self.energy, self.chain.structure.positions))
+        object.__setattr__(self, "energy", prepare_energy(self.energy, self.chain.structure.positions))
 
     @cached_property
     def pose(self) -> Pose:

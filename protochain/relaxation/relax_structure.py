@@ -18,9 +18,9 @@ from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import counted, listed
-from protochain.core.timings import timed, until_now
+from protochain.core.timings import measure_run, until_now
 from protochain.energies import Energy
-from protochain.energies.on_device import begun
+from protochain.energies.on_device import prepare_energy
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.problem import Evaluation
@@ -90,14 +90,14 @@ def relax(
     'converged'
     """
     relaxing, setup = split({"preset": preset, **moved_of(source), **options})
-    with timed():
+    with measure_run():
         structure = setup.load(source)
         energy = setup.energy_of(source, structure, fixed_options(relaxing, options))
         return relax_structure(structure, energy, relaxing, watch, setup.move)
 
 
 @held_interrupts()
-@timed()
+@measure_run()
 def relax_structure(
     structure: Structure,
     energy: Energy,
@@ -120,7 +120,7 @@ def relax_structure(
         # In a rigid protein only the pose can change: springs to it would preserve its overlaps.
         excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
     check_dihedrals(energy, "relax")
-    energy = begun(energy, structure.positions)
+    energy = prepare_energy(energy, structure.positions)
     first = _repack(structure, energy, mobile, settings)
     trace = _Trace(watch)
     judged: Any = CachedEnergy(energy)

@@ -113,7 +113,7 @@ def test_hinges_of_one_colour_share_no_bonded_term():
     c = pc.build_chain(s)
     e = pc.energy(s, threads=1)
     coupled, colour = colours(c, e)
-    bonded = torques_at(c, e.bonded, None)
+    bonded = torques_at(c, e.bonded_terms, None)
     rows = bonded._by_rows(np.arange(c.n_v))
     there = np.abs(rows) > 1e-6 * np.abs(rows).max()
     assert not (there & (coupled.toarray() == 0.0)).any()

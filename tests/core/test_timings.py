@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.core import timings
-from protochain.core.timings import PARTS, part, shared, timed, until_now
+from protochain.core.timings import PARTS, count_kernel, measure_run, part, until_now
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def clock(monkeypatch):
 
 
 def test_each_moment_belongs_to_the_innermost_part(clock):
-    with timed():
+    with measure_run():
         with part("loop"), part("evaluations"), part("loop"):
             pass
         with pytest.raises(KeyError), part("judging"):
@@ -35,23 +35,23 @@ def test_each_moment_belongs_to_the_innermost_part(clock):
 
 
 def test_a_run_within_a_run_is_part_of_it_and_without_a_run_nothing_is_timed(clock):
-    with timed():
-        with timed(), part("metric"):
+    with measure_run():
+        with measure_run(), part("metric"):
             pass
         assert until_now()["metric"] == 1.0
     with part("metric"):
-        with shared():
+        with count_kernel():
             pass
         assert until_now() == {}
 
 
 def test_kernels_are_shared_only_where_a_loop_calls_them(clock):
-    with timed():
-        with shared():
+    with measure_run():
+        with count_kernel():
             pass
-        with part("judging"), shared():
+        with part("judging"), count_kernel():
             pass
-        with part("loop"), part("evaluations"), shared(), part("kernels"):
+        with part("loop"), part("evaluations"), count_kernel(), part("kernels"):
             pass
         # From the first to the fourth read but for one in which a kernel is compiled, of six in the loop.
         assert until_now()["serial_share_of_loop"] == 1.0 - 2.0 / 6.0

@@ -5,7 +5,7 @@ import pytest
 
 from protochain.energies.native import neighbours
 from protochain.energies.native.layout import W
-from protochain.energies.native.neighbours import SKIN, furthest, make_lists, partners
+from protochain.energies.native.neighbours import SKIN, largest_displacement2, make_lists, partners
 
 
 def box_gap(x, a, b):
@@ -118,10 +118,13 @@ def test_a_pair_at_the_limit_itself_is_beyond_it(axis, sign):
 def test_the_furthest_move_is_the_largest_of_all_atoms():
     a = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0], [5.0, 5.0, 5.0]])
     move = np.array([[1.0, 0.0, 0.0], [3.0, -4.0, 12.0], [0.0, 2.0, 0.0]])
-    assert furthest(a, a + move) == furthest(a + move, a) == 169.0
-    assert furthest(a[:1], a[:1] + np.array([[2.0, 3.0, 6.0]])) == 49.0 and furthest(a, a) == 0.0
+    assert largest_displacement2(a, a + move) == largest_displacement2(a + move, a) == 169.0
+    assert (
+        largest_displacement2(a[:1], a[:1] + np.array([[2.0, 3.0, 6.0]])) == 49.0
+        and largest_displacement2(a, a) == 0.0
+    )
     for k in range(3):
-        assert furthest(a, a + np.roll(move, k, axis=0)) == 169.0
+        assert largest_displacement2(a, a + np.roll(move, k, axis=0)) == 169.0
 
 
 def test_lists_hold_up_to_half_the_skin_itself():
@@ -131,7 +134,7 @@ def test_lists_hold_up_to_half_the_skin_itself():
             # From 0, so that the move is exact.
             x = lists.x.copy()
             x[5, axis] = move
-            assert lists.still_hold(x) is held
+            assert lists.are_valid(x) is held
 
 
 def test_atoms_share_a_group_in_any_column_but_none_is_no_group():
@@ -140,7 +143,7 @@ def test_atoms_share_a_group_in_any_column_but_none_is_no_group():
     for i in range(5):
         for j in range(5):
             shares = {(min(i, j), max(i, j))} <= expected or (i == j and i != 1)
-            assert neighbours._share(groups, i, j) is shares
+            assert neighbours._share_group(groups, i, j) is shares
 
 
 def test_partners_are_sorted_and_begin_where_the_starts_say():

@@ -19,7 +19,7 @@ from protochain.chains.setup import Setup
 from protochain.core.errors import DeviceWarning
 from protochain.energies import NativeEnergy, on_device
 from protochain.energies.decomposed import native_of
-from protochain.energies.on_device import DeviceEnergy, chosen
+from protochain.energies.on_device import DeviceEnergy, choose_device
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.restraints import Tethers
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -69,15 +69,17 @@ def test_auto_is_a_gpu_where_there_is_one_and_it_pays(monkeypatch):
         ({"opencl"}, 9000, 5000, "cpu"), (set(), 9000, 5000, "cpu"), ({"cuda", "opencl"}, 4999, 5000, "cpu"),
         ({"hip", "cuda"}, 5000, 5000, "cuda"), ({"hip"}, 5000, 5000, "hip"), ({"cuda"}, 1231, 1000, "cuda"),
     ):  # fmt: skip
-        monkeypatch.setattr(on_device, "_registered", lambda there=there: there)
-        assert chosen("auto", n_atoms, fewest) == device
-        assert chosen("opencl", 10, fewest) == "opencl" and chosen("cpu", n_atoms, fewest) == "cpu"
+        monkeypatch.setattr(on_device, "_loaded_devices", lambda there=there: there)
+        assert choose_device("auto", n_atoms, fewest) == device
+        assert (
+            choose_device("opencl", 10, fewest) == "opencl" and choose_device("cpu", n_atoms, fewest) == "cpu"
+        )
 
 
 def test_an_energy_is_on_the_device_that_pays(cuda, monkeypatch):
     s = load(CAGE)
     assert isinstance(pc.energy(s), NativeEnergy)
-    monkeypatch.setattr(on_device.chosen, "__defaults__", (300,))
+    monkeypatch.setattr(on_device.choose_device, "__defaults__", (300,))
     made = pc.energy(s)
     assert (made.device, made.engine, made.exact.engine) == ("cuda", "openmm", "native")
     assert pc.energy(s, engine="native").device == "cpu" == pc.energy(s, device="cpu").device
@@ -172,7 +174,7 @@ def test_its_tethers_are_forces_of_openmm_while_it_runs(cuda):
     e, moving = pc.energy(s, device="cuda"), np.ones(s.n_atoms, dtype=bool)
     tethers = Tethers.of_heavy_atoms(s, 1000.0)
     for springs in (tethers, None, tethers):
-        x = e.descended(s.positions, moving, springs, 1.0, 2000)
+        x = e.descend(s.positions, moving, springs, 1.0, 2000)
         value, forces = energy(CAGE)(x)
         assert e(x)[0] == pytest.approx(value, rel=DEVICE_ENERGY)
         pull = tethers(x)[1] if springs else 0.0
@@ -248,7 +250,10 @@ def test_a_kernel_that_fails_leaves_the_run_to_the_processor(message, n_warnings
 def test_an_evaluation_that_fails_is_the_processors(cuda):
     s = load(CAGE)
     e = pc.energy(s, device="cuda", accuracy=1e-3)
-    e._made = np.empty(0, np.int64), SimpleNamespace(setPositions=lambda x: openmm.Platform.getPlatform("?"))
+    e._current = (
+        np.empty(0, np.int64),
+        SimpleNamespace(setPositions=lambda x: openmm.Platform.getPlatform("?")),
+    )
     with pytest.warns(DeviceWarning, match="no registered Platform"):
         value, forces = e(s.positions)
     assert e(s.positions)[0] == value and np.array_equal(forces, energy(CAGE)(s.positions)[1])

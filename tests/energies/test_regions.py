@@ -8,7 +8,7 @@ from fixtures.samples import load
 from fixtures.tolerances import LEFT_OUT, NATIVE_ENERGY, ROUND_OFF_NM
 
 import protochain as pc
-from protochain.energies.native.evaluate import touched
+from protochain.energies.native.evaluate import written_blocks
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.layout import W
 from protochain.energies.native.neighbours import SKIN, block_groups, make_lists, partners
@@ -119,7 +119,7 @@ def test_chunks_write_only_to_the_blocks_that_are_cleared_and_added(name, move):
     c = pc.build_chain(s, move=move)
     less = pc.energy(s, **SETTINGS[name]).without_constants(c.rigid_groups, s.positions)
     evaluation = Evaluation(less._layout, less._lists, less._constants[1], Workspace(less._layout), threads=1)
-    marked = touched(less._layout, less._lists)
+    marked = written_blocks(less._layout, less._lists)
     evaluation.workspace.sums[:] = 7.0
     parts, forces = evaluation(s.positions)
     assert (evaluation.workspace.sums[~marked] == 7.0).all()

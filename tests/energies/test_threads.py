@@ -175,7 +175,7 @@ def test_processors_are_those_this_process_may_use(bound, quota, expected, monke
 def noted(worth, now, energies, took, worked, share):
     """Time after some energies, all alike, in a row."""
     for _ in range(energies):
-        assert worth.asks(now)
+        assert worth.should_ask(now)
         now += took
         worth.note(now, took, worked, share)
     return now
@@ -187,7 +187,7 @@ def test_helpers_that_save_time_are_asked_again_and_again():
     for _ in range(20):
         now = noted(worth, now, 40, 0.0005, 0.0005, 0.5)
         worth.note(now, 0.0045, 0.0005, 0.5)
-    assert worth.asks(now)
+    assert worth.should_ask(now)
 
 
 def test_helpers_that_cost_time_rest_twice_as_long_each_time():
@@ -195,15 +195,15 @@ def test_helpers_that_cost_time_rest_twice_as_long_each_time():
     while len(rests) < 7:
         now += 0.005
         worth.note(now, 0.005, 0.0005, 0.5)
-        if not worth.asks(now):
-            rests.append(round(worth.until - now, 6))
-            now = worth.until
-            assert worth.asks(now)
+        if not worth.should_ask(now):
+            rests.append(round(worth.pause_end - now, 6))
+            now = worth.pause_end
+            assert worth.should_ask(now)
     assert rests == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 3.2]
     now = noted(worth, now, 1000, 0.0005, 0.0005, 0.5)
-    while worth.asks(now):
+    while worth.should_ask(now):
         worth.note(now, 0.005, 0.0005, 0.5)
-    assert worth.until - now == pytest.approx(0.1), "long proof of use, and earlier rests are forgotten"
+    assert worth.pause_end - now == pytest.approx(0.1), "long proof of use, and earlier rests are forgotten"
 
 
 def test_a_thread_that_leads_alone_waits_for_nobody():

@@ -20,7 +20,7 @@ from protochain.energies.native import engine, expansion
 from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.lanes import LANES
 from protochain.energies.native.layout import CHUNKS, W
-from protochain.energies.native.tree import FIRST, LEFT, SKIN, plant, screened_pairs
+from protochain.energies.native.tree import FIRST, LEFT, SKIN, build_tree, screened_pairs
 from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.minimise_settings import JUDGES
 
@@ -75,7 +75,7 @@ def test_the_field_of_far_nodes_is_the_taylor_polynomial_of_their_pairs(power, o
 
 def test_a_tree_has_each_pair_of_blocks_once_near_or_far():
     x = load(SAMPLE).positions
-    tree = plant(x, 0.6, 1.0)
+    tree = build_tree(x, 0.6, 1.0)
     leaves = [range(first, end) for first, end in tree.nodes[:, FIRST:LEFT]]
     counts = np.zeros((max(map(max, leaves)) + 1,) * 2, int)
     for i, j in tree.near:
@@ -90,7 +90,7 @@ def test_a_tree_has_each_pair_of_blocks_once_near_or_far():
 
 def test_far_blocks_within_reach_of_an_atoms_born_radius_are_screened():
     """Whatever the radii: boxes of blocks, and of the nodes that hold them, only save time."""
-    tree = plant(load(SAMPLE).positions, 0.6, 1.0)
+    tree = build_tree(load(SAMPLE).positions, 0.6, 1.0)
     x, reach = load(SAMPLE).positions[tree.order], 0.1
     born = np.random.default_rng(1).lognormal(-1.0, 1.0, len(x))
     blocks = [slice(k, k + W) for k in range(0, len(x), W)]

@@ -25,7 +25,7 @@ _PAUSES = {
     "aarch64": ("llvm.aarch64.hint", (1,)),
     "arm64": ("llvm.aarch64.hint", (1,)),
 }
-give_way: Any = types.ExternalFunction(
+yield_processor: Any = types.ExternalFunction(
     "SwitchToThread" if sys.platform == "win32" else "sched_yield", types.int32()
 )
 """Let the operating system run another thread on this processor."""
@@ -39,13 +39,13 @@ _MONOTONIC = 6 if sys.platform == "darwin" else 1
 
 
 @scalar
-def ticks(room: Any) -> int:
+def ticks(buffer: Any) -> int:
     """Read a clock that goes on evenly, in ticks of its own, by way of an array of two int64."""
     if _IS_WINDOWS:
-        _counter(room.ctypes)
-        return room[0]
-    _clock(_MONOTONIC, room.ctypes)
-    return 1_000_000_000 * room[0] + room[1]
+        _counter(buffer.ctypes)
+        return buffer[0]
+    _clock(_MONOTONIC, buffer.ctypes)
+    return 1_000_000_000 * buffer[0] + buffer[1]
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
@@ -92,10 +92,10 @@ def pause(typing: Any) -> Any:
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if platform.machine().lower() in _PAUSES:
-            name, given = _PAUSES[platform.machine().lower()]
-            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(32)] * len(given))
+            name, arguments = _PAUSES[platform.machine().lower()]
+            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(32)] * len(arguments))
             function = cgutils.get_or_insert_function(builder.module, kind, name)
-            builder.call(function, [ir.Constant(ir.IntType(32), g) for g in given])
+            builder.call(function, [ir.Constant(ir.IntType(32), argument) for argument in arguments])
         return context.get_dummy_value()
 
     return types.none(), code

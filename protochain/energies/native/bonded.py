@@ -3,18 +3,18 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native.layout import Share, W, part, scalar, shared
+from protochain.energies.native.layout import Share, W, chunk_kernel, part, scalar
 from protochain.energies.native.pairs import CLOSEST, difference, push
 
 Vector = tuple[float, float, float]
 
 
-@shared
+@chunk_kernel
 def bond_sums(
-    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+    chunks: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
 ) -> None:
     """K (r - r0)^2 / 2, parameters (r0, k)."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -28,12 +28,12 @@ def bond_sums(
         energies[c] += energy
 
 
-@shared
+@chunk_kernel
 def angle_sums(
-    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+    chunks: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
 ) -> None:
     """K (theta - theta0)^2 / 2, parameters (theta0, k)."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -54,12 +54,12 @@ def angle_sums(
         energies[c] += energy
 
 
-@shared
+@chunk_kernel
 def torsion_sums(
-    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+    chunks: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
 ) -> None:
     """K (1 + cos(n phi - phi0)), parameters (n, phi0, k)."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         energy = 0.0
         torque, phi = 0.0, 0.0
@@ -86,12 +86,12 @@ def same_four(atoms: Integers, a: int, b: int) -> bool:
     )  # fmt: skip
 
 
-@shared
+@chunk_kernel
 def improper_sums(
-    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+    chunks: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
 ) -> None:
     """CHARMM's impropers, K (phi - phi0)^2 without periodic wrapping, parameters (phi0, k)."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -102,12 +102,12 @@ def improper_sums(
         energies[c] += energy
 
 
-@shared
+@chunk_kernel
 def map_sums(
-    mine: Share,
+    chunks: Share,
     x: Floats,
     atoms: Integers,
-    which: Integers,
+    map_index: Integers,
     coefficients: Floats,
     sums: Floats,
     energies: Floats,
@@ -115,14 +115,14 @@ def map_sums(
     """Torsion maps, bicubic in each cell of a grid over two dihedrals."""
     # ``coefficients`` (maps, size, size, 4, 4) multiply powers of the coordinates in a cell, from 0 to 1.
     size = coefficients.shape[1]
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
             t = atoms[n]
             s1, u = cell(dihedral(x, t[0], t[1], t[2], t[3]), size)
             s2, v = cell(dihedral(x, t[4], t[5], t[6], t[7]), size)
-            surface = coefficients[which[n], s1, s2]
+            surface = coefficients[map_index[n], s1, s2]
             value, along_u, along_v = 0.0, 0.0, 0.0
             for i in range(3, -1, -1):
                 row = surface[i]

@@ -25,12 +25,12 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
-    apart2,
+    box_distance2,
+    chunk_kernel,
     far_rows2,
     part,
     scalar,
-    shared,
-    tiled,
+    tile_kernel,
     variant,
 )  # fmt: skip
 from protochain.energies.native.pairs import CLOSEST, difference, push
@@ -42,13 +42,13 @@ BATCH = 64
 """Near pairs computed at a time."""
 
 
-@shared
+@chunk_kernel
 def integral_sums(
-    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, block_near: Floats,
+    chunks: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, block_near: Floats,
     cutoff: float, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -58,13 +58,13 @@ def integral_sums(
             )
 
 
-@tiled
+@tile_kernel
 def _integral_tile(
     a: Floats, b: Floats, same: bool, near2: float, far2: float, cutoff2: float, a_sums: Floats,
     b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
-        if apart2(a, i, b) < far2:
+        if box_distance2(a, i, b) < far2:
             add_integrals(a, i, b, same, True, near2, cutoff2, a_sums, b_sums)
         else:
             add_integrals(a, i, b, same, False, near2, cutoff2, a_sums, b_sums)
@@ -94,14 +94,14 @@ def add_integrals(
     a_sums[SCALAR * W + i] += total
 
 
-@shared
+@chunk_kernel
 def polar_sums(
-    mine: Share, atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats
+    chunks: Share, atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats
 ) -> None:
     """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums."""
     # -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
     # (1990), equation 3.
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, rows = 0.0, np.empty(3 * W)
         for k in range(begin, end):
@@ -114,7 +114,7 @@ def polar_sums(
         energies[c] += energy
 
 
-@tiled
+@tile_kernel
 def _polar_tile(
     a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
@@ -179,21 +179,21 @@ def add_polar(
     return energy
 
 
-@shared
+@chunk_kernel
 def screened_sums(
-    mine: Share, atoms: Floats, tiles: Integers, rows: np.ndarray, sums: Floats, energies: Floats
+    chunks: Share, atoms: Floats, tiles: Integers, rows: np.ndarray, sums: Floats, energies: Floats
 ) -> None:  # fmt: skip
     """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of far tiles."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
-        energy, room = 0.0, np.empty(3 * W)
+        energy, buffer = 0.0, np.empty(3 * W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            energy -= _screened_tile(atoms[i], atoms[j], rows[k], room, sums[c, i], sums[c, j])
+            energy -= _screened_tile(atoms[i], atoms[j], rows[k], buffer, sums[c, i], sums[c, j])
         energies[c] += energy
 
 
-@tiled
+@tile_kernel
 def _screened_tile(
     a: Floats, b: Floats, counts: np.ndarray, rows: Floats, a_sums: Floats, b_sums: Floats
 ) -> float:
@@ -228,44 +228,44 @@ def _screened_tile(
     return energy
 
 
-@shared
+@chunk_kernel
 def near_integral_sums(
-    mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
+    chunks: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
     near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
     # Those found near are computed many at a time, as vectors.
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(pairs), c)
-        found, which, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
+        batch, pair_index, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
             r2 = max(difference(x, i, j)[3], CLOSEST)
             slopes[k, 0], slopes[k, 1] = 0.0, 0.0
             if r2 < near * near:
-                which[count], found[count] = k, r2
-                found[BATCH + count], found[2 * BATCH + count] = offset_radius[i], scaled_radius[i]
-                found[3 * BATCH + count], found[4 * BATCH + count] = offset_radius[j], scaled_radius[j]
+                pair_index[count], batch[count] = k, r2
+                batch[BATCH + count], batch[2 * BATCH + count] = offset_radius[i], scaled_radius[i]
+                batch[3 * BATCH + count], batch[4 * BATCH + count] = offset_radius[j], scaled_radius[j]
                 count += 1
             if count == BATCH or k == end - 1:
-                _descreenings(found, engulfs)
-                for place in range(count):
-                    at, i, j = which[place], pairs[which[place], 0], pairs[which[place], 1]
-                    sums[c, i // W, SCALAR * W + i % W] += found[5 * BATCH + place]
-                    sums[c, j // W, SCALAR * W + j % W] += found[6 * BATCH + place]
-                    slopes[at, 0], slopes[at, 1] = found[7 * BATCH + place], found[8 * BATCH + place]
+                _descreenings(batch, engulfs)
+                for slot in range(count):
+                    pair, i, j = pair_index[slot], pairs[pair_index[slot], 0], pairs[pair_index[slot], 1]
+                    sums[c, i // W, SCALAR * W + i % W] += batch[5 * BATCH + slot]
+                    sums[c, j // W, SCALAR * W + j % W] += batch[6 * BATCH + slot]
+                    slopes[pair, 0], slopes[pair, 1] = batch[7 * BATCH + slot], batch[8 * BATCH + slot]
                 count = 0
 
 
-@tiled
-def _descreenings(found: Floats, engulfs: bool) -> None:
+@tile_kernel
+def _descreenings(batch: Floats, engulfs: bool) -> None:
     """From rows r^2, offset and scaled radii of atoms i and j: rows of integrals and slopes of i and j."""
     for k in range(BATCH):
-        r = np.sqrt(found[k])
-        of_i, slope_i = descreening(r, found[BATCH + k], found[4 * BATCH + k], engulfs)
-        of_j, slope_j = descreening(r, found[3 * BATCH + k], found[2 * BATCH + k], engulfs)
-        found[5 * BATCH + k], found[6 * BATCH + k] = of_i, of_j
-        found[7 * BATCH + k], found[8 * BATCH + k] = slope_i, slope_j
+        r = np.sqrt(batch[k])
+        of_i, slope_i = descreening(r, batch[BATCH + k], batch[4 * BATCH + k], engulfs)
+        of_j, slope_j = descreening(r, batch[3 * BATCH + k], batch[2 * BATCH + k], engulfs)
+        batch[5 * BATCH + k], batch[6 * BATCH + k] = of_i, of_j
+        batch[7 * BATCH + k], batch[8 * BATCH + k] = slope_i, slope_j
 
 
 @variant
@@ -276,8 +276,8 @@ def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float
     reach, furthest = abs(r - s), r + s
     outside = reach > radius
     nearest = reach if outside else radius
-    each = 1.0 / (nearest * furthest * r)
-    lower, upper, inverse = furthest * r * each, nearest * r * each, nearest * furthest * each
+    product = 1.0 / (nearest * furthest * r)
+    lower, upper, inverse = furthest * r * product, nearest * r * product, nearest * furthest * product
     # L moves with r where the sphere's nearest point lies outside the atom.
     moves = (-lower if r > s else lower) if outside else 0.0
     squares, log = upper * upper - lower * lower, logarithm(nearest * upper)
@@ -297,12 +297,12 @@ def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float
     return 0.5 * value if touches else 0.0, 0.5 * slope * inverse if touches else 0.0
 
 
-@shared
+@chunk_kernel
 def near_descreening_sums(
-    mine: Share, x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats
+    chunks: Share, x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats
 ) -> None:
     """Add the forces of the listed pairs from the slopes that :func:`near_integral_sums` stored."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]

@@ -13,12 +13,12 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
-from protochain.energies.native.far import FEWEST_BLOCKS, Far, Opening, least_distance, one_kind, openings
+from protochain.energies.native.far import FEWEST_BLOCKS, Far, Opening, least_distance, openings, same_charge
 from protochain.energies.native.layout import BORN, ROWS, W, n_blocks, put_positions
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
-from protochain.energies.native.tree import plant, screened_pairs
+from protochain.energies.native.tree import build_tree, screened_pairs
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
@@ -55,8 +55,8 @@ class NativeEnergy:
 
     def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
         terms = compile_system(by_openmm.system)
-        nobody = np.full((terms.n_atoms, 1), -1)
-        layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
+        no_groups = np.full((terms.n_atoms, 1), -1)
+        layout = Layout(terms, no_groups, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
             raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
         self._set(by_openmm, threads, layout, opening)
@@ -78,13 +78,13 @@ class NativeEnergy:
         self._lists: Lists | None = None
         self._evaluation: Evaluation | None = None
         self._one_at_a_time = Lock()
-        self._all: tuple[Layout, Lists, Lists, Floats] | None = None
+        self._full: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew, without the neighbour lists of earlier evaluations."""
-        rigid = None if self._all is None else (self._layout.groups, self._all[3])
-        return _remade, (self.by_openmm, self.threads, self.opening, rigid)
+        rigid = None if self._full is None else (self._layout.groups, self._full[3])
+        return _rebuild, (self.by_openmm, self.threads, self.opening, rigid)
 
     @property
     def reason(self) -> str:
@@ -103,13 +103,13 @@ class NativeEnergy:
     @property
     def terms(self) -> Terms:
         """All terms of the System as arrays, those left out too."""
-        return (self._layout if self._all is None else self._all[0]).terms
+        return (self._layout if self._full is None else self._full[0]).terms
 
     @property
-    def visited(self) -> Mapping[str, int]:
+    def operation_counts(self) -> Mapping[str, int]:
         """What an evaluation sums: terms, pairs of atoms, and entries of lists, with the lists in use."""
         terms = self._layout.terms
-        n_terms = sum(len(some.atoms) for some in (*terms.bonded.values(), terms.nonbonded.exceptions))
+        n_terms = sum(len(subset.atoms) for subset in (*terms.bonded.values(), terms.nonbonded.exceptions))
         if self._lists is None:
             return {"terms": n_terms}
         return {
@@ -138,13 +138,13 @@ class NativeEnergy:
 
     def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
         """Choose the quickest tree with forces at x (na, 3) right to an RMS, measured by all pairs."""
-        terms, because = self._layout.terms, "no tree is as accurate as asked"
+        terms, cause = self._layout.terms, "no tree is as accurate as asked"
         if terms.nonbonded.cutoff < np.inf or (terms.solvent and terms.solvent.cutoff < np.inf):
-            because = "the System has a cutoff"
-        elif not one_kind(terms):
-            because = "generalised Born has other charges than Coulomb"
+            cause = "the System has a cutoff"
+        elif not same_charge(terms):
+            cause = "generalised Born has other charges than Coulomb"
         elif n_blocks(terms.n_atoms) < FEWEST_BLOCKS:
-            because = "so few are summed sooner than by a tree"
+            cause = "so few are summed sooner than by a tree"
         else:
             exact = self.exact(x)
             self._lists = self._evaluation = None
@@ -153,7 +153,7 @@ class NativeEnergy:
                 if tree.note_error(tree(x)[1], exact[1]) <= accuracy:
                     tree.chosen_by = read_only(x), exact
                     return tree
-        note = f"all pairs one by one: {because}"
+        note = f"all pairs one by one: {cause}"
         self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")
         return self
 
@@ -225,30 +225,30 @@ class NativeEnergy:
         tree it is itself, which sums all, or pairs that change, if they are fewer than its near.
         """
         if self.opening is not None:
-            less = self.exact.without_constants(groups, x)
+            copy = self.exact.without_constants(groups, x)
             with self._one_at_a_time:
                 near = len(self._evaluation_at(x).lists.tiles)
             is_less = (
-                self.terms.solvent is None and len(less._all[2].changing) <= near if less._all else False
+                self.terms.solvent is None and len(copy._full[2].changing) <= near if copy._full else False
             )
-            return less if is_less else self
+            return copy if is_less else self
         x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
         moving_terms, left_out = {}, {}
-        for kind, some in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
-            moving = ~_in_one_group(groups, some.atoms)
-            moving_terms[kind] = Bonded(some.atoms[moving], some.parameters[moving])
+        for kind, subset in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
+            moving = ~_in_one_group(groups, subset.atoms)
+            moving_terms[kind] = Bonded(subset.atoms[moving], subset.parameters[moving])
             left_out[kind] = int(len(moving) - moving.sum())
         nonbonded = replace(terms.nonbonded, exceptions=moving_terms.pop("exceptions"))
         fewer = replace(terms, bonded=moving_terms, nonbonded=nonbonded)
         # Exceptions left out must still be kept off the list of free pairs.
-        less = self._copy(replace(self._layout, terms=fewer, groups=groups))
+        copy = self._copy(replace(self._layout, terms=fewer, groups=groups))
         # Lists at these positions, whatever was computed before, so that runs repeat.
-        all_lists, fewer_lists = lists_of(self._layout, x), lists_of(less._layout, x)
-        less._lists, less._all = fewer_lists, (self._layout, all_lists, fewer_lists, x)
+        all_lists, fewer_lists = lists_of(self._layout, x), lists_of(copy._layout, x)
+        copy._lists, copy._full = fewer_lists, (self._layout, all_lists, fewer_lists, x)
         left_out["close pairs"] = len(all_lists.close) - len(fewer_lists.close)
-        less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
-        return less
+        copy.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
+        return copy
 
     @cached_property
     def coarse(self) -> "NativeEnergy":
@@ -261,7 +261,7 @@ class NativeEnergy:
         return self._copy(replace(self._layout, terms=fewer))
 
     @cached_property
-    def bonded(self) -> "NativeEnergy":
+    def bonded_terms(self) -> "NativeEnergy":
         """A copy of the bonded terms alone, without any pairs, exceptions included."""
         terms = self.terms
         near = Layout(replace(terms, solvent=None), self._layout.groups, self._layout.exceptions).near
@@ -279,24 +279,24 @@ class NativeEnergy:
         nonbonded = replace(terms.nonbonded, cutoff=np.inf, krf=0.0, crf=0.0)
         solvent = replace(terms.solvent, cutoff=np.inf) if terms.solvent else None
         layout = replace(self._layout, terms=replace(terms, nonbonded=nonbonded, solvent=solvent))
-        every = Evaluation(layout, lists_of(layout, x), np.zeros(len(x)), Workspace(layout), self.threads)
-        off = np.sqrt(((self(x)[1] - every(x)[1]) ** 2).sum(axis=1).mean())
-        return f"with the cutoff, forces differ by {off:.2g} kJ/mol/nm RMS from those of all pairs"
+        full = Evaluation(layout, lists_of(layout, x), np.zeros(len(x)), Workspace(layout), self.threads)
+        rms_error = np.sqrt(((self(x)[1] - full(x)[1]) ** 2).sum(axis=1).mean())
+        return f"with the cutoff, forces differ by {rms_error:.2g} kJ/mol/nm RMS from those of all pairs"
 
     @cached_property
     def _constants(self) -> tuple[float, Floats]:
         """Energy of the terms left out; what atoms of one group contribute to each other's Born integrals."""
         fixed = np.zeros(self._layout.terms.n_atoms)
-        if self._all is None:
+        if self._full is None:
             return 0.0, fixed
-        layout, lists, own_lists, x = self._all
-        every = Evaluation(layout, lists, fixed, Workspace(layout), self.threads)
+        layout, lists, own_lists, x = self._full
+        full = Evaluation(layout, lists, fixed, Workspace(layout), self.threads)
         moving = Evaluation(self._layout, own_lists, fixed, Workspace(self._layout), self.threads)
-        (whole, _), (less, _) = every(x), moving(x)
+        (all_parts, _), (reduced_parts, _) = full(x), moving(x)
         if self._layout.terms.solvent is not None:
-            fixed = (every.workspace.integral - moving.workspace.integral)[: len(x)]
-            less, _ = Evaluation(self._layout, own_lists, fixed, moving.workspace, self.threads)(x)
-        return sum(whole.values()) - sum(less.values()), fixed
+            fixed = (full.workspace.integral - moving.workspace.integral)[: len(x)]
+            reduced_parts, _ = Evaluation(self._layout, own_lists, fixed, moving.workspace, self.threads)(x)
+        return sum(all_parts.values()) - sum(reduced_parts.values()), fixed
 
     @property
     def lists_at(self) -> Floats | None:
@@ -313,7 +313,7 @@ class NativeEnergy:
         """Evaluation with neighbour lists that are valid at x."""
         if self.opening is not None:
             return self._by_tree(x, self.opening)
-        if self._lists is None or not self._lists.still_hold(x):
+        if self._lists is None or not self._lists.are_valid(x):
             self._lists = lists_of(self._layout, x)
         last = self._evaluation
         if last is None or last.lists is not self._lists:
@@ -328,20 +328,20 @@ class NativeEnergy:
 
     def _by_tree(self, x: Floats, opening: Opening) -> Evaluation:
         """Evaluation with a tree that is valid at x."""
-        last, was = self._evaluation, self._lists
-        if last is not None and was is not None and last.lists is was and was.still_hold(x):
+        last, old = self._evaluation, self._lists
+        if last is not None and old is not None and last.lists is old and old.are_valid(x):
             return last
-        at = was.x if was is not None and was.still_hold(x) else x
-        tree = plant(at, opening.angle, least_distance(self._layout))
+        x0 = old.x if old is not None and old.are_valid(x) else x
+        tree = build_tree(x0, opening.angle, least_distance(self._layout))
         layout = in_order(self._layout, tree.order)
-        lists = replace(lists_of(layout, at[tree.order], tree.near), x=at.copy())
+        lists = replace(lists_of(layout, x0[tree.order], tree.near), x=x0.copy())
         workspace = last.workspace if last else Workspace(layout)
         workspace.atoms[:] = layout.blocks
         far, fixed = Far(layout, opening, tree), np.zeros(len(x))
         if layout.terms.solvent is not None:
             first = Evaluation(layout, lists, fixed, workspace, self.threads, far)
-            first.put_born_radii(at)
-            far = replace(far, screened=screened_pairs(tree, at[tree.order], first.born, opening.screened))
+            first.put_born_radii(x0)
+            far = replace(far, screened=screened_pairs(tree, x0[tree.order], first.born, opening.screened))
         self._lists = lists
         self._evaluation = Evaluation(layout, lists, fixed, workspace, self.threads, far)
         if last:
@@ -352,11 +352,11 @@ class NativeEnergy:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
 
 
-def _remade(
+def _rebuild(
     by_openmm: OpenMMEnergy, threads: int, opening: Opening | None, rigid: tuple[Integers, Floats] | None
 ) -> NativeEnergy:
-    made = NativeEnergy(by_openmm, threads, opening)
-    return made if rigid is None else made.without_constants(*rigid)
+    energy = NativeEnergy(by_openmm, threads, opening)
+    return energy if rigid is None else energy.without_constants(*rigid)
 
 
 def _in_one_group(groups: Integers, atoms: Integers) -> np.ndarray:

@@ -58,7 +58,7 @@ class Layout:
         return block_groups(self.groups)
 
     @cached_property
-    def necked(self) -> float:
+    def neck_reach(self) -> float:
         """Largest distance of a neck, nm."""
         necks = self.terms.solvent.necks if self.terms.solvent else None
         return float(necks.reach.max()) if necks else 0.0
@@ -88,12 +88,12 @@ class Layout:
         return np.concatenate([in_types(row, n.lj_type) for row in rows], axis=2)
 
     @cached_property
-    def touched(self) -> np.ndarray:
+    def written_blocks(self) -> np.ndarray:
         """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to for bonded terms and exceptions."""
-        found = np.zeros((CHUNKS, n_blocks(self.terms.n_atoms)), dtype=bool)
-        for some in (*self.terms.bonded.values(), self.terms.nonbonded.exceptions):
-            touch(found, some.atoms // W)
-        return found
+        is_written = np.zeros((CHUNKS, n_blocks(self.terms.n_atoms)), dtype=bool)
+        for kind in (*self.terms.bonded.values(), self.terms.nonbonded.exceptions):
+            mark_written(is_written, kind.atoms // W)
+        return is_written
 
     def pairs_of(self, lists: Lists) -> int:
         """Count the pairs of atoms that an evaluation visits: tiles in each pass over them, and lists."""
@@ -121,26 +121,26 @@ class Layout:
         return np.concatenate([in_types(row, n.kind) for row in rows], axis=2)
 
 
-def touched(layout: Layout, lists: Lists) -> np.ndarray:
+def written_blocks(layout: Layout, lists: Lists) -> np.ndarray:
     """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to, in any step."""
-    found = layout.touched.copy()
-    touch(found, lists.changing)
-    touch(found, lists.free // W)
+    is_written = layout.written_blocks.copy()
+    mark_written(is_written, lists.changing)
+    mark_written(is_written, lists.free // W)
     if layout.terms.solvent is not None:
-        touch(found, lists.close // W)
-        touch(found, lists.tiles)
-        touch(found, lists.tiles[lists.is_necked])
-    return found
+        mark_written(is_written, lists.close // W)
+        mark_written(is_written, lists.tiles)
+        mark_written(is_written, lists.tiles[lists.is_necked])
+    return is_written
 
 
 @scalar
-def touch(found: np.ndarray, blocks: Integers) -> None:
+def mark_written(is_written: np.ndarray, blocks: Integers) -> None:
     """Mark the blocks (n, k) of items that chunks share as :func:`layout.part` does."""
     n = len(blocks)
     for chunk in range(CHUNKS):
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
             for k in range(blocks.shape[1]):
-                found[chunk, blocks[i, k]] = True
+                is_written[chunk, blocks[i, k]] = True
 
 
 def in_types(table: Floats, kind: Integers) -> Floats:
@@ -154,8 +154,8 @@ def in_types(table: Floats, kind: Integers) -> Floats:
 def lists_of(layout: Layout, x: Floats, tiles: Integers | None = None) -> Lists:
     """Build the neighbour lists at x; of pairs of blocks ``tiles``, if given."""
     return make_lists(
-        x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
-        layout.groups, layout.block_group, tiles,
+        x, layout.near, layout.block_near, layout.neck_reach, layout.terms.nonbonded.cutoff,
+        layout.exceptions, layout.groups, layout.block_group, tiles,
     )  # fmt: skip
 
 
@@ -165,22 +165,22 @@ def in_order(layout: Layout, order: Integers) -> Layout:
     place = np.empty(n, np.int64)
     place[order] = np.arange(n)
 
-    def moved(some: Bonded) -> Bonded:
-        return Bonded(np.ascontiguousarray(place[some.atoms]), some.parameters)
+    def reorder(bonds: Bonded) -> Bonded:
+        return Bonded(np.ascontiguousarray(place[bonds.atoms]), bonds.parameters)
 
     pairs = terms.nonbonded
     nonbonded = replace(
-        pairs, charge=pairs.charge[order], lj_type=pairs.lj_type[order], exceptions=moved(pairs.exceptions)
+        pairs, charge=pairs.charge[order], lj_type=pairs.lj_type[order], exceptions=reorder(pairs.exceptions)
     )
     solvent = terms.solvent
     if solvent is not None:
-        each = {
+        per_atom = {
             name: getattr(solvent, name)[order]
             for name in ("charge", "offset_radius", "scaled_radius", "radius", "bend", "surface")
         }
         necks = solvent.necks and replace(solvent.necks, kind=solvent.necks.kind[order])
-        solvent = replace(solvent, necks=necks, **each)
-    bonded = {kind: moved(some) for kind, some in terms.bonded.items()}
+        solvent = replace(solvent, necks=necks, **per_atom)
+    bonded = {kind: reorder(bonds) for kind, bonds in terms.bonded.items()}
     start, partner = layout.exceptions
     listed = np.stack([np.repeat(np.arange(n), np.diff(start)), partner], axis=1)
     return Layout(

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.timings import shared
+from protochain.core.timings import count_kernel
 from protochain.energies.native import tasks
 from protochain.energies.native.atomic import TICK
-from protochain.energies.native.evaluate import Layout, touch, touched
+from protochain.energies.native.evaluate import Layout, mark_written, written_blocks
 from protochain.energies.native.far import Far
 from protochain.energies.native.helpers import Helpers, Worth, helpers
-from protochain.energies.native.layout import BORN, CHUNKS, ROWS, SUMS, W, aligned
+from protochain.energies.native.layout import BORN, CHUNKS, ROWS, SUMS, W, aligned_zeros
 from protochain.energies.native.neighbours import Lists
 
 KINDS = (
@@ -40,9 +40,9 @@ class Workspace:
     def __init__(self, layout: Layout) -> None:
         n = layout.terms.n_atoms
         self.x, self.forces = np.empty((n, 3)), np.empty((n, 3))
-        self.atoms = aligned(layout.blocks.shape)
+        self.atoms = aligned_zeros(layout.blocks.shape)
         self.atoms[:] = layout.blocks
-        self.sums = aligned((CHUNKS, len(self.atoms), SUMS * W))
+        self.sums = aligned_zeros((CHUNKS, len(self.atoms), SUMS * W))
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
@@ -66,14 +66,14 @@ class Evaluation:
         self.order = far.tree.order if far else None
         self._counters = np.zeros(tasks.COUNTERS, np.int64)
         self._arguments = arguments(layout, lists, fixed, workspace, far)
-        self._most = min(threads, CHUNKS) - 1
+        self._max_helpers = min(threads, CHUNKS) - 1
         self._counters[tasks.TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
         self._counters[tasks.STEPS] = tasks.IN_VACUUM if layout.terms.solvent is None else tasks.IN_SOLVENT
         self._state = threading.Lock()
-        self._runs, self._helping, self._helpers = False, 0, helpers()
+        self._is_running, self._n_helping, self._helpers = False, 0, helpers()
 
     @property
-    def given(self) -> tuple[Any, ...]:
+    def work_arguments(self) -> tuple[Any, ...]:
         """Arguments of :func:`tasks.work` for the thread that leads."""
         return True, self._counters, *self._arguments
 
@@ -85,22 +85,22 @@ class Evaluation:
             np.copyto(w.x, x)
         else:
             np.take(x, self.order, axis=0, out=w.x)
-        asks = self._most > 0 and w.worth.asks(monotonic())
-        self._counters[tasks.QUIT] = not asks
-        self._runs, used, began = True, thread_time(), perf_counter()
+        uses_helpers = self._max_helpers > 0 and w.worth.should_ask(monotonic())
+        self._counters[tasks.QUIT] = not uses_helpers
+        self._is_running, cpu_start, start = True, thread_time(), perf_counter()
         try:
-            with shared():
-                if asks:
+            with count_kernel():
+                if uses_helpers:
                     self._call_helpers(helpers())
                 tasks.work(True, self._counters, *self._arguments)
         finally:
-            self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
+            self._is_running = False  # Also on Ctrl-C: helpers would look for tasks for ever.
         # Also until this thread goes on: on a busy machine the interpreter may be another's for long.
-        took = perf_counter() - began
-        if asks:
+        elapsed = perf_counter() - start
+        if uses_helpers:
             n_tasks, led, waited = self._counters[[tasks.ALL, tasks.LED, tasks.WAITED]].tolist()
-            worked = min(took - TICK * waited, thread_time() - used)
-            w.worth.note(monotonic(), took, worked, led / n_tasks)
+            worked = min(elapsed - TICK * waited, thread_time() - cpu_start)
+            w.worth.note(monotonic(), elapsed, worked, led / n_tasks)
         w.of = self
         forces = w.forces.copy()
         if self.order is not None:
@@ -122,22 +122,22 @@ class Evaluation:
         at = self.workspace.x
         return self.workspace.of is self and np.array_equal(at, x if self.order is None else x[self.order])
 
-    def _call_helpers(self, them: Helpers) -> None:
+    def _call_helpers(self, helper_pool: Helpers) -> None:
         with self._state:
-            if them is not self._helpers:
-                self._helpers, self._helping = them, 0
-            missing = self._most - self._helping
-            self._helping = self._most
+            if helper_pool is not self._helpers:
+                self._helpers, self._n_helping = helper_pool, 0
+            missing = self._max_helpers - self._n_helping
+            self._n_helping = self._max_helpers
         if missing:
-            them.ask(self.help_out, missing, self._most)
+            helper_pool.ask(self.help_out, missing, self._max_helpers)
 
     def help_out(self) -> None:
         """Do tasks, as a helper, until none has come for a while."""
         while True:
             tasks.work(False, self._counters, *self._arguments)
             with self._state:
-                if not self._runs or self._counters[tasks.QUIT]:
-                    self._helping -= 1
+                if not self._is_running or self._counters[tasks.QUIT]:
+                    self._n_helping -= 1
                     return
 
     def dismiss(self) -> None:
@@ -157,36 +157,36 @@ def arguments(
 ) -> tuple[Any, ...]:
     """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
-    writes = touched(layout, lists)
+    writes = written_blocks(layout, lists)
     of_tree = None
     if far is not None:
-        touch(writes, far.screened[0])
-        settings = tuple(_fixed(*s) if isinstance(s, tuple) else _fixed(s)[0] for s in far.arguments())
-        of_tree = far.room(), _fixed(*far.geometry()), settings, _fixed(*far.screened)
-    state = w.x, w.atoms, w.sums, *_fixed(writes), w.parts, w.forces
+        mark_written(writes, far.screened[0])
+        settings = tuple(_views(*s) if isinstance(s, tuple) else _views(s)[0] for s in far.arguments())
+        of_tree = far.room(), _views(*far.geometry()), settings, _views(*far.screened)
+    state = w.x, w.atoms, w.sums, *_views(writes), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
-    vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
-    kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
-    bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
-    exceptions = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
+    vacuum = *_views(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
+    kinds = _views(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
+    bonded = (_views(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
+    exceptions = _views(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
     maps = terms.bonded["maps"]
-    of_maps = _fixed(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
-    some = kinds, *_fixed(lists.free), exceptions, *bonded, of_maps
+    of_maps = _views(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
+    listed = kinds, *_views(lists.free), exceptions, *bonded, of_maps
     if solvent is None:
-        return state, vacuum, some, None, None, of_tree
+        return state, vacuum, listed, None, None, of_tree
     per_atom = (
-        *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
-        bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
+        *_views(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
+        bool(solvent.engulfs), *_views(solvent.charge, solvent.surface), float(solvent.cutoff),
     )  # fmt: skip
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
-    born = per_atom, _fixed(lists.close, fixed, lists.tiles), written
+    born = per_atom, _views(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, some, born, None, of_tree
-    necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
-    return state, vacuum, some, born, necks, of_tree
+        return state, vacuum, listed, born, None, of_tree
+    necks = *_views(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.neck_reach
+    return state, vacuum, listed, born, necks, of_tree
 
 
-def _fixed(*arrays: Any) -> tuple[Any, ...]:
+def _views(*arrays: Any) -> tuple[Any, ...]:
     """Read-only contiguous views: numba compiles for each kind of array anew, and may round otherwise."""
     views = tuple(np.ascontiguousarray(array).view() for array in arrays)
     for view in views:

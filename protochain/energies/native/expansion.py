@@ -16,7 +16,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.lanes import LANES, add_products, put_product
-from protochain.energies.native.layout import Share, W, part, scalar, shared, tiled
+from protochain.energies.native.layout import Share, W, chunk_kernel, part, scalar, tile_kernel
 from protochain.energies.native.tree import FIRST, LEFT, PARENT
 
 LARGEST_ORDER = 10
@@ -36,12 +36,12 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     powers = [
         (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
     ]
-    place = {each: row for row, each in enumerate(powers)}
+    place = {power: row for row, power in enumerate(powers)}
     monomials = []
-    for each in powers:
-        axis = int(np.argmax(each))
-        lower = [tuple(np.subtract(each, [k * (axis == a) for a in range(3)])) for k in (1, 2)]
-        monomials.append((*each, sum(each), axis, *(place.get(one, -1) for one in lower), each[axis]))
+    for power in powers:
+        axis = int(np.argmax(power))
+        lower = [tuple(np.subtract(power, [k * (axis == a) for a in range(3)])) for k in (1, 2)]
+        monomials.append((*power, sum(power), axis, *(place.get(key, -1) for key in lower), power[axis]))
     products = [
         (place[a], place[b], place[tuple(np.add(a, b))])
         for degree in range(order + 1) for a in powers for b in powers if sum(a) + sum(b) == degree
@@ -49,8 +49,8 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     raised = [
         [place[tuple(np.add(a, unit))] for unit in np.eye(3, dtype=int)] for a in powers if sum(a) < order
     ]
-    added = [place.get(tuple(np.add(a, b)), 0) for a in powers for b in powers]
-    return np.array(monomials), np.array(products), np.array(raised), np.array(added)
+    sums = [place.get(tuple(np.add(a, b)), 0) for a in powers for b in powers]
+    return np.array(monomials), np.array(products), np.array(raised), np.array(sums)
 
 
 @scalar
@@ -68,7 +68,7 @@ def n_products(order: int) -> int:
     return total
 
 
-@shared
+@chunk_kernel
 def put_monomials(dx: float, dy: float, dz: float, monomials: Integers, out: Floats) -> None:
     """Write dx^i dy^j dz^k / (i! j! k!) of a displacement."""
     out[0] = 1.0
@@ -78,7 +78,7 @@ def put_monomials(dx: float, dy: float, dz: float, monomials: Integers, out: Flo
         out[row] = out[monomials[row, 5]] * d / monomials[row, 7]
 
 
-@tiled
+@tile_kernel
 def block_monomials(a: Floats, cx: float, cy: float, cz: float, monomials: Integers, out: Floats) -> None:
     """Write the monomials of a block's atoms about a centre as rows (n, W)."""
     for k in range(W):
@@ -87,12 +87,12 @@ def block_monomials(a: Floats, cx: float, cy: float, cz: float, monomials: Integ
         axis = monomials[row, 4]
         c = cx if axis == 0 else cy if axis == 1 else cz
         factor = 1.0 / monomials[row, 7]
-        mine, lower, at = out[row], out[monomials[row, 5]], a[axis * W : axis * W + W]
+        products, lower, at = out[row], out[monomials[row, 5]], a[axis * W : axis * W + W]
         for k in range(W):
-            mine[k] = lower[k] * (at[k] - c) * factor
+            products[k] = lower[k] * (at[k] - c) * factor
 
 
-@tiled
+@tile_kernel
 def dot(a: Floats, b: Floats) -> float:
     """Sum of products of two rows."""
     total = 0.0
@@ -101,21 +101,21 @@ def dot(a: Floats, b: Floats) -> float:
     return total
 
 
-@shared
+@chunk_kernel
 def shift_moments(moments: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
     """Add moments about another centre, by n products; ``monomials`` of the old centre about the new."""
     for t in range(n):
         out[products[t, 2]] += moments[products[t, 0]] * monomials[products[t, 1]]
 
 
-@shared
+@chunk_kernel
 def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
     """Add a field about another centre, by n products; ``monomials`` of the new centre about the old."""
     for t in range(n):
         out[products[t, 0]] += field[products[t, 2]] * monomials[products[t, 1]]
 
 
-@tiled
+@tile_kernel
 def _derivatives(at: Floats, powers: Floats, order: int, monomials: Integers, out: Floats) -> None:
     """Derivatives of a kernel by order, from x, y, z, and rows ((1/r) d/dr)^m k of ``powers``."""
     # McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
@@ -131,35 +131,35 @@ def _derivatives(at: Floats, powers: Floats, order: int, monomials: Integers, ou
             out[0, k] = powers[m, k]
 
 
-@tiled
+@tile_kernel
 def _kernel_rows(at: Floats, power: int, second: float, order: int, out: Floats) -> None:
     """Rows ((1/r) d/dr)^m (r^-s + second r^-(s + 2)), given rows 3 and 4 of ``at``, r^-1 and r^-2."""
-    inverse, inverse2, of_next = at[3], at[4], at[5]
+    inverse, inverse2, correction = at[3], at[4], at[5]
     for k in range(LANES):
         value = inverse[k] if power % 2 else 1.0
         for _ in range(power // 2):
             value *= inverse2[k]
         out[0, k] = value
-        of_next[k] = second * inverse2[k]
+        correction[k] = second * inverse2[k]
     for m in range(1, order + 1):
-        factor, mine, last = -(power + 2.0 * (m - 1.0)), out[m], out[m - 1]
+        factor, row, last = -(power + 2.0 * (m - 1.0)), out[m], out[m - 1]
         for k in range(LANES):
-            mine[k] = factor * last[k] * inverse2[k]
+            row[k] = factor * last[k] * inverse2[k]
     for m in range(order + 1):
-        mine, ratio = out[m], (power + 2.0 * m) / power
+        row, ratio = out[m], (power + 2.0 * m) / power
         for k in range(LANES):
-            mine[k] *= 1.0 + ratio * of_next[k]
+            row[k] *= 1.0 + ratio * correction[k]
 
 
-@shared
+@chunk_kernel
 def put_moments(
-    mine: Share, atoms: Floats, charges: Floats, kinds: Integers, nodes: Integers, roots: Integers,
+    chunks: Share, atoms: Floats, charges: Floats, kinds: Integers, nodes: Integers, roots: Integers,
     centre: Floats, tabled: Any, moments: Floats,
 ) -> None:  # fmt: skip
     """Put the moments of the nodes of some chunks, inward: of some kinds, rows of kind and order."""
     monomials, products, _, _ = tabled
     rows, shifts = np.empty((len(monomials), W)), np.empty(len(monomials))
-    for c in range(*mine):
+    for c in range(*chunks):
         for node in range(roots[c + 1] - 1, roots[c] - 1, -1):
             x, y, z, block = centre[node, 0], centre[node, 1], centre[node, 2], nodes[node, FIRST]
             is_leaf = nodes[node, LEFT] < 0
@@ -176,13 +176,13 @@ def put_moments(
                 )
                 for k in range(len(kinds)):
                     kind, order = kinds[k, 0], kinds[k, 1]
-                    its, out = moments[child, kind], moments[node, kind]
-                    shift_moments(its, shifts, products, n_products(order), out)
+                    child_moments, out = moments[child, kind], moments[node, kind]
+                    shift_moments(child_moments, shifts, products, n_products(order), out)
 
 
-@shared
+@chunk_kernel
 def put_fields(
-    mine: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats,
+    chunks: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats,
     start: Integers, source: Integers, tabled: Any, moments: Floats, fields: Floats,
 ) -> None:  # fmt: skip
     """Put the fields of all that is far about the nodes of some chunks, outward."""
@@ -192,16 +192,16 @@ def put_fields(
     n = len(monomials)
     derivatives, gathered, sums = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((len(uses) * n, LANES))
     powers, at, shifts = np.empty((LARGEST_ORDER + 1, LANES)), np.empty((6, LANES)), np.empty(n)
-    for c in range(*mine):
+    for c in range(*chunks):
         for node in range(roots[c], roots[c + 1]):
-            mine_of = fields[node]
+            node_fields = fields[node]
             for use in range(len(uses)):
                 for row in range(n):
-                    mine_of[uses[use, FIELD], row] = 0.0
+                    node_fields[uses[use, FIELD], row] = 0.0
             if start[node] < start[node + 1]:
                 _far_fields(
                     node, uses, seconds, centre, start, source, monomials, added, moments, derivatives,
-                    gathered, sums, powers, at, mine_of,
+                    gathered, sums, powers, at, node_fields,
                 )  # fmt: skip
             parent = nodes[node, PARENT]
             if parent < 0:
@@ -216,10 +216,10 @@ def put_fields(
                     is_first &= uses[earlier, FIELD] != field
                 if is_first:
                     count = n_products(uses[use, ORDER])
-                    shift_field(fields[parent, field], shifts, products, count, mine_of[field])
+                    shift_field(fields[parent, field], shifts, products, count, node_fields[field])
 
 
-@shared
+@chunk_kernel
 def _far_fields(
     node: int, uses: Integers, seconds: Floats, centre: Floats, start: Integers, source: Integers,
     monomials: Integers, added: Integers, moments: Floats, derivatives: Floats, gathered: Floats,
@@ -233,10 +233,10 @@ def _far_fields(
     for first in range(start[node], start[node + 1], LANES):
         count = min(LANES, start[node + 1] - first)
         for lane in range(LANES):
-            other, r2 = source[first + lane if lane < count else first], 0.0
+            far_node, r2 = source[first + lane if lane < count else first], 0.0
             for axis in range(3):
                 # From here to there: (-1)^|b| D_(a+b)(R) is (-1)^|a| D_(a+b)(-R), whose sign belongs to sums.
-                at[axis, lane] = centre[other, axis] - centre[node, axis]
+                at[axis, lane] = centre[far_node, axis] - centre[node, axis]
                 r2 += at[axis, lane] * at[axis, lane]
             at[4, lane] = 1.0 / r2
             at[3, lane] = np.sqrt(at[4, lane])
@@ -247,10 +247,10 @@ def _far_fields(
                 _derivatives(at, powers, order, monomials, derivatives)
             # Node by node: the cache has them in a row.
             for lane in range(LANES):
-                its = moments[source[first + lane if lane < count else first], kind]
+                node_moments = moments[source[first + lane if lane < count else first], kind]
                 factor = 1.0 if lane < count else 0.0
                 for row in range(n_terms(order)):
-                    gathered[row, lane] = factor * its[row]
+                    gathered[row, lane] = factor * node_moments[row]
             for row in range(n_terms(order)):
                 terms = n_terms(order - monomials[row, 3])
                 add_products(sums, use * n + row, gathered, derivatives, added, row * n, terms)
@@ -262,15 +262,15 @@ def _far_fields(
             fields[uses[use, FIELD], row] += -total if monomials[row, 3] % 2 else total
 
 
-@shared
+@chunk_kernel
 def add_potential(
-    mine: Share, atoms: Floats, field: int, order: int, leaves: Integers, centre: Floats, tabled: Any,
+    chunks: Share, atoms: Floats, field: int, order: int, leaves: Integers, centre: Floats, tabled: Any,
     fields: Floats, values: Floats,
 ) -> None:  # fmt: skip
     """Add a field to ``values`` (blocks * W,) at the atoms of some chunks."""
     monomials, _, _, _ = tabled
     rows = np.empty((len(monomials), W))
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         for block in range(begin, end):
             leaf = leaves[block]
@@ -281,17 +281,17 @@ def add_potential(
                     values[block * W + k] += value * rows[row, k]
 
 
-@shared
+@chunk_kernel
 def put_far_forces(
-    mine: Share, atoms: Floats, charges: Floats, orders: Integers, acts: Integers, factors: Floats,
+    chunks: Share, atoms: Floats, charges: Floats, orders: Integers, acts: Integers, factors: Floats,
     leaves: Integers, centre: Floats, tabled: Any, fields: Floats, forces: Floats, parts: Floats,
 ) -> None:  # fmt: skip
     """Put the forces (blocks, 3, W) of the fields on the atoms of some chunks, and add energies."""
     # ``acts`` (fields,) is the kind of charge that each acts on, ``orders`` its order; ``factors`` (fields, 1
     # + components) those of its force, and of its energy in each row of ``parts``.
     monomials, _, raised, _ = tabled
-    rows, each = np.empty((len(monomials), W)), np.empty((4, W))
-    for c in range(*mine):
+    rows, gradient = np.empty((len(monomials), W)), np.empty((4, W))
+    for c in range(*chunks):
         begin, end = part(len(atoms), c)
         for block in range(begin, end):
             leaf, force = leaves[block], forces[block]
@@ -302,28 +302,28 @@ def put_far_forces(
             for field in range(len(acts)):
                 for axis in range(4):
                     for k in range(W):
-                        each[axis, k] = 0.0
+                        gradient[axis, k] = 0.0
                 n, n_forces = n_terms(orders[field]), n_terms(orders[field] - 1)
-                _add_gradient(fields[leaf, field], raised, rows, n, n_forces, each)
+                _add_gradient(fields[leaf, field], raised, rows, n, n_forces, gradient)
                 charge = charges[block, acts[field]]
                 for axis in range(3):
                     for k in range(W):
-                        force[axis, k] -= factors[field, 0] * charge[k] * each[axis, k]
-                energy = dot(charge, each[3])
+                        force[axis, k] -= factors[field, 0] * charge[k] * gradient[axis, k]
+                energy = dot(charge, gradient[3])
                 for component in range(len(parts)):
                     parts[component, c] += factors[field, 1 + component] * energy
 
 
-@tiled
+@tile_kernel
 def _add_gradient(field: Floats, raised: Integers, rows: Floats, n: int, n_forces: int, out: Floats) -> None:
     """Add the gradient of a field at a block's atoms, and its value."""
     for row in range(n):
-        mine, value = rows[row], field[row]
+        monomial, value = rows[row], field[row]
         for k in range(W):
-            out[3, k] += value * mine[k]
+            out[3, k] += value * monomial[k]
     for row in range(n_forces):
-        mine = rows[row]
+        monomial = rows[row]
         for axis in range(3):
             value, total = field[raised[row, axis]], out[axis]
             for k in range(W):
-                total[k] += value * mine[k]
+                total[k] += value * monomial[k]

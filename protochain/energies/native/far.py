@@ -61,20 +61,20 @@ class Opening:
     lower: int = 2
 
 
-def one_kind(terms: Terms) -> bool:
+def same_charge(terms: Terms) -> bool:
     """Whether Coulomb and generalised Born have the same charges, but for a factor."""
     charge = terms.nonbonded.charge
     if terms.solvent is None or not charge.any():
         return True
-    off = terms.solvent.charge - (terms.solvent.charge @ charge) / (charge @ charge) * charge
-    return bool(np.abs(off).max() <= 1e-6 * np.abs(charge).max())
+    deviation = terms.solvent.charge - (terms.solvent.charge @ charge) / (charge @ charge) * charge
+    return bool(np.abs(deviation).max() <= 1e-6 * np.abs(charge).max())
 
 
 def least_distance(layout: Layout) -> float:
     """Least distance of far atoms, nm."""
     solvent = layout.terms.solvent
     s = 0.0 if solvent is None else float(np.abs(solvent.scaled_radius).max())
-    return max(_LEAST, layout.near, layout.necked, s / _SMALLEST)
+    return max(_LEAST, layout.near, layout.neck_reach, s / _SMALLEST)
 
 
 FEWEST_BLOCKS = 64
@@ -117,7 +117,7 @@ class Far:
     screened: tuple[Integers, np.ndarray] = (np.zeros((0, 2), np.int64), np.zeros((0, W), np.bool_))
 
     @cached_property
-    def together(self) -> float:
+    def charge_ratio2(self) -> float:
         """Square of the charge of generalised Born by that of Coulomb."""
         solvent, charge = self.layout.terms.solvent, self.layout.terms.nonbonded.charge
         if solvent is None or not charge.any():
@@ -155,8 +155,8 @@ class Far:
         rows = [terms.nonbonded.charge, *self._factors[1][:, terms.nonbonded.lj_type]]
         if terms.solvent is not None:
             s = terms.solvent.scaled_radius
-            rest = 0.5 * FAR_TERMS[1] * s**3 * (s**2 - self._mean_square)
-            rows += [0.5 * FAR_TERMS[0] * s**3, rest, np.zeros(len(s))]
+            remainder = 0.5 * FAR_TERMS[1] * s**3 * (s**2 - self._mean_square)
+            rows += [0.5 * FAR_TERMS[0] * s**3, remainder, np.zeros(len(s))]
         wide = np.zeros((len(rows), n_blocks(terms.n_atoms) * W))
         wide[:, : terms.n_atoms] = rows
         return np.ascontiguousarray(wide.reshape(len(rows), -1, W).swapaxes(0, 1))
@@ -169,25 +169,25 @@ class Far:
         signs = self._factors[0]
         first, second, acts, orders = [(1, high, 0, 0)], [], [0], [high]
         kinds, pulls = [(0, high)], []
-        factors = [(1.0 - self.together, 0.5, -0.5 * self.together)]
+        factors = [(1.0 - self.charge_ratio2, 0.5, -0.5 * self.charge_ratio2)]
         dispersion = [(6, low, k, k) for k in range(1, 1 + len(signs))]
         for k, sign in enumerate(signs, 1):
             kinds, acts, orders = [*kinds, (k, low)], [*acts, k], [*orders, low]
             factors.append((-sign, -0.5 * sign, 0.0))
         if self.layout.terms.solvent is not None:
-            near, rest, pull = (1 + len(signs) + k for k in range(3))
+            near, remainder, pull = (1 + len(signs) + k for k in range(3))
             # Field of the integrals, on dE/d(integral); fields of that, on what makes integrals.
-            first += [(4, high, near, near), (6, _REST, rest, near)]
-            second += [(4, high, pull, rest), (6, _REST, pull, pull)]
-            kinds, pulls = [*kinds, (near, high), (rest, _REST)], [(pull, high)]
-            acts, orders = [*acts, pull, near, rest], [*orders, high, high, _REST]
+            first += [(4, high, near, near), (6, _REST, remainder, near)]
+            second += [(4, high, pull, remainder), (6, _REST, pull, pull)]
+            kinds, pulls = [*kinds, (near, high), (remainder, _REST)], [(pull, high)]
+            acts, orders = [*acts, pull, near, remainder], [*orders, high, high, _REST]
             factors += 3 * [(1.0, 0.0, 0.0)]
         first = sorted(first + dispersion, key=lambda use: (use[0], -use[1]))
         stages = []
-        for own, some in ((kinds, first), (pulls, second)):
-            uses = np.array(some, np.int64).reshape(-1, 4)
+        for stage_kinds, stage_uses in ((kinds, first), (pulls, second)):
+            uses = np.array(stage_uses, np.int64).reshape(-1, 4)
             seconds = np.where(uses[:, POWER] == 4, self._second, 0.0)
-            stages.append((np.array(own, np.int64).reshape(-1, 2), uses, seconds))
+            stages.append((np.array(stage_kinds, np.int64).reshape(-1, 2), uses, seconds))
         return *stages, np.array(acts), np.array(orders), np.array(factors), tables(high)
 
     @property

@@ -28,13 +28,13 @@ class Worth:
 
     balance: float = _CREDIT
     """s saved of late; what is past counts ever less."""
-    rest: float = 0.0
-    until: float = 0.0
+    pause: float = 0.0
+    pause_end: float = 0.0
     """Length of the last rest, and its end, s."""
 
-    def asks(self, now: float) -> bool:
+    def should_ask(self, now: float) -> bool:
         """Whether to ask for helpers at a time in s."""
-        return now >= self.until
+        return now >= self.pause_end
 
     def note(self, now: float, took: float, worked: float, share: float) -> None:
         """Take account of an energy with helpers: now, took, worked s."""
@@ -42,10 +42,10 @@ class Worth:
         saved = worked / share - took if share else took
         self.balance = (1.0 - min(1.0, took / _MEMORY)) * self.balance + saved
         if self.balance < 0.0:
-            self.rest = min(_LONGEST, max(_SHORTEST, 2.0 * self.rest))
-            self.until, self.balance = now + self.rest, _CREDIT
+            self.pause = min(_LONGEST, max(_SHORTEST, 2.0 * self.pause))
+            self.pause_end, self.balance = now + self.pause, _CREDIT
         elif self.balance > _PROVEN * _MEMORY:
-            self.rest = 0.0
+            self.pause = 0.0
 
 
 class Helpers:
@@ -55,9 +55,9 @@ class Helpers:
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._threads = 0
 
-    def ask(self, job: Job, n: int, most: int) -> None:
+    def ask(self, job: Job, n: int, max_threads: int) -> None:
         """Wake n threads for a job, of ``most`` in all."""
-        while self._threads < most:
+        while self._threads < max_threads:
             self._threads += 1
             threading.Thread(target=_serve, args=(self._jobs,), daemon=True, name="protochain helper").start()
         for _ in range(n):
@@ -69,18 +69,18 @@ def _serve(jobs: "SimpleQueue[Job]") -> None:
         jobs.get()()
 
 
-_all = [Helpers()]
+_pool = [Helpers()]
 
 
 def helpers() -> Helpers:
     """Return the threads of this process."""
-    return _all[0]
+    return _pool[0]
 
 
-def _forget() -> None:
+def _reset_after_fork() -> None:
     """A process split off another has none of its threads."""
-    _all[0] = Helpers()
+    _pool[0] = Helpers()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget)
+    os.register_at_fork(after_in_child=_reset_after_fork)

@@ -9,7 +9,7 @@ import openmm
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.neck import REACH
-from protochain.energies.native.reading import UnsupportedForceError, bare, plain, rows
+from protochain.energies.native.reading import UnsupportedForceError, plain, rows, strip
 
 COULOMB_CUSTOM = 138.935485
 """COULOMB as the implicit-solvent files round it."""
@@ -105,27 +105,27 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
         raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")
     names = [force.getPerParticleParameterName(i) for i in range(force.getNumPerParticleParameters())]
     table = np.array(rows(force, "getNumParticles", "getParticleParameters"))
-    of = dict(zip(names, table.T, strict=True))
+    columns = dict(zip(names, table.T, strict=True))
     values = [force.getComputedValueParameters(i) for i in range(force.getNumComputedValues())]
     terms = [force.getEnergyTermParameters(i) for i in range(force.getNumEnergyTerms())]
     pairs, single = force.ParticlePairNoExclusions, force.SingleParticle
     if [(name, kind) for name, _, kind in values] != [("I", pairs), ("B", single)]:
         raise UnsupportedForceError("CustomGBForce that is none of HCT, OBC1, OBC2, GBn and GBn2")
-    bend, radius = _bend(bare(values[1][1]), of)
-    polar, area = _energy_terms([(bare(expression), kind) for expression, kind in terms], cutoff, force)
+    bend, radius = _bend(strip(values[1][1]), columns)
+    polar, area = _energy_terms([(strip(expression), kind) for expression, kind in terms], cutoff, force)
     surface = np.zeros(len(table))
     if area is not None:
-        surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
+        surface = _AREA_CUSTOM * (columns["or"] + area + _PROBE) ** 2 * (columns["or"] + area) ** 6
     return Solvent(
-        of["charge"] * np.sqrt(COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
-        _necks(bare(values[0][1]), of, force), cutoff,
+        columns["charge"] * np.sqrt(COULOMB_CUSTOM * polar), columns["or"], columns["sr"], radius, bend,
+        surface, False, _necks(strip(values[0][1]), columns, force), cutoff,
     )  # fmt: skip
 
 
-def _bend(expression: str, of: dict[str, Floats]) -> tuple[Floats, Floats]:
-    n = len(of["or"])
+def _bend(expression: str, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
+    n = len(columns["or"])
     if expression == _PLAIN_RADIUS:
-        return np.zeros((n, 3)), of["or"]
+        return np.zeros((n, 3)), columns["or"]
     outer = _BENT_RADIUS.fullmatch(expression)
     inner = _BEND.fullmatch(outer[1]) if outer else None
     if outer is None or inner is None:
@@ -133,10 +133,10 @@ def _bend(expression: str, of: dict[str, Floats]) -> tuple[Floats, Floats]:
     bend = np.empty((n, 3))
     for column, (group, default) in enumerate(((1, "1"), (3, "0"), (5, "0"))):
         written = inner[group] or default
-        bend[:, column] = of[written] if written in of else float(written)
+        bend[:, column] = columns[written] if written in columns else float(written)
     if np.any(bend[:, 0] == 0.0):
         raise UnsupportedForceError("CustomGBForce with alpha = 0")
-    return bend, of["or"] + float(outer[2])
+    return bend, columns["or"] + float(outer[2])
 
 
 def _energy_terms(
@@ -144,28 +144,28 @@ def _energy_terms(
 ) -> tuple[float, float | None]:
     """Difference of inverse dielectrics, and the surface term's radius offset if there is one."""
     shift = "/f" if cutoff == np.inf else f"*(1/f-{1 / cutoff})"
-    known = {
+    expressions = {
         (_SELF, force.SingleParticle): "self",
         (_SURFACE, force.SingleParticle): "surface",
         (_PAIR + shift + _F, force.ParticlePairNoExclusions): "pair",
     }
-    found: dict[str, re.Match[str]] = {}
+    matches: dict[str, re.Match[str]] = {}
     for expression, kind in terms:
         tail = _PARAMETERS.search(expression)
         head = expression[: tail.start()] if tail and tail.end() == len(expression) else expression
-        name = known.get((head, kind))
-        if tail is None or name is None or name in found:
+        name = expressions.get((head, kind))
+        if tail is None or name is None or name in matches:
             raise UnsupportedForceError(f"CustomGBForce with energy {expression!r}")
-        found[name] = tail
-    dielectrics = {tail.groups()[:2] for tail in found.values()}
-    if not {"self", "pair"} <= set(found) or len(dielectrics) != 1:
+        matches[name] = tail
+    dielectrics = {tail.groups()[:2] for tail in matches.values()}
+    if not {"self", "pair"} <= set(matches) or len(dielectrics) != 1:
         raise UnsupportedForceError("CustomGBForce without the usual polar terms")
     outside, inside = (float(text) for text in dielectrics.pop())
-    area = float(found["surface"][3]) if "surface" in found else None
+    area = float(matches["surface"][3]) if "surface" in matches else None
     return _polar(inside, outside), area
 
 
-def _necks(expression: str, of: dict[str, Floats], force: openmm.CustomGBForce) -> Necks | None:
+def _necks(expression: str, columns: dict[str, Floats], force: openmm.CustomGBForce) -> Necks | None:
     if expression == _HCT:
         return None
     numbers = _WITH_NECKS.fullmatch(expression)
@@ -176,10 +176,10 @@ def _necks(expression: str, of: dict[str, Floats], force: openmm.CustomGBForce) 
     for i in range(force.getNumTabulatedFunctions()):
         width, height, values = force.getTabulatedFunction(i).getFunctionParameters()
         tables[force.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
-    kind = of["radindex"].astype(np.int64)
+    kind = columns["radindex"].astype(np.int64)
     radius = np.zeros(len(tables["getm0"]))
-    radius[kind] = of["or"] + offset
-    if not np.array_equal(radius[kind], of["or"] + offset):
+    radius[kind] = columns["or"] + offset
+    if not np.array_equal(radius[kind], columns["or"] + offset):
         raise UnsupportedForceError("CustomGBForce whose necks' types have more than one radius")
     reach = radius[:, None] + radius[None, :] + REACH
     return Necks(kind, scale * tables["getm0"], tables["getd0"], reach)

@@ -36,7 +36,7 @@ def put_product(
         def row(place: int, index: int) -> Any:
             return _row(context, builder, signature.args[place], args[place], args[index])
 
-        along, first, second = (builder.load(row(*each), align=8) for each in ((3, 4), (0, 2), (0, 6)))
+        along, first, second = (builder.load(row(*operand), align=8) for operand in ((3, 4), (0, 2), (0, 6)))
         zero = ir.Constant(ir.IntType(32), 0)
         lone = builder.insert_element(ir.Constant(_ROW, ir.Undefined), args[5], zero)
         same = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
@@ -53,7 +53,7 @@ def put_product(
 
 @intrinsic
 def add_products(
-    typing: Any, sums: Any, to: Any, one: Any, other: Any, which: Any, begin: Any, n: Any
+    typing: Any, sums: Any, to: Any, first: Any, second: Any, selection: Any, begin: Any, n: Any
 ) -> Any:
     """Add one[k] * other[which[begin + k]], k < n, to sums[to], of arrays (., LANES) and (.,) int."""
 
@@ -66,12 +66,12 @@ def add_products(
         builder.store(builder.load(to, align=8), total)
         indices = context.make_array(signature.args[4])(context, builder, args[4]).data
         with cgutils.for_range(builder, args[6]) as loop:
-            its = builder.load(builder.gep(indices, [builder.add(args[5], loop.index)]))
-            a, b = (builder.load(row(*each), align=8) for each in ((2, loop.index), (3, its)))
+            selected_row = builder.load(builder.gep(indices, [builder.add(args[5], loop.index)]))
+            a, b = (builder.load(row(*operand), align=8) for operand in ((2, loop.index), (3, selected_row)))
             product = builder.fmul(a, b, flags=_FAST)
             builder.store(builder.fadd(builder.load(total), product, flags=_FAST), total)
         builder.store(builder.load(total), to, align=8)
         return context.get_dummy_value()
 
     count = types.int64
-    return types.void(sums, count, one, other, which, count, count), code
+    return types.void(sums, count, first, second, selection, count, count), code

@@ -35,7 +35,7 @@ _WITHIN: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def tiled(function: F) -> F:
+def tile_kernel(function: F) -> F:
     """Compile a kernel of two blocks: sums along a row may be reordered, to vectorise."""
     fast = {"contract", "reassoc", "nsz"}
     return cast(F, njit(cache=True, error_model="numpy", fastmath=fast)(function))
@@ -47,7 +47,7 @@ def variant(function: F) -> F:
     return cast(F, njit(error_model="numpy", fastmath=fast, **_WITHIN)(function))
 
 
-def ordered(function: F) -> F:
+def ordered_kernel(function: F) -> F:
     """Compile as :func:`variant`, but additions keep their order: one that rounds is no detour to remove."""
     return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, **_WITHIN)(function))
 
@@ -57,12 +57,12 @@ def scalar(function: F) -> F:
     return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
 
 
-def shared(function: F) -> F:
+def chunk_kernel(function: F) -> F:
     """Compile a loop over chunks, any of which may be done by any thread."""
     return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
-def inlined(function: F) -> F:
+def inline_kernel(function: F) -> F:
     """Compile as :func:`shared`, inlined: a call would count the references of all arrays up and down."""
     return cast(F, njit(error_model="numpy", nogil=True, **_WITHIN)(function))
 
@@ -87,12 +87,12 @@ def empty_blocks(n: int) -> Floats:
     return blocks.reshape(-1, ROWS * W)
 
 
-def aligned(shape: tuple[int, ...]) -> Floats:
+def aligned_zeros(shape: tuple[int, ...]) -> Floats:
     """Zeros that begin at a cache line, which vectors of eight doubles would otherwise straddle."""
     size, line = math.prod(shape), 8
-    room = np.zeros(size + line)
-    start = -(room.ctypes.data // room.itemsize) % line
-    return room[start : start + size].reshape(shape)
+    buffer = np.zeros(size + line)
+    start = -(buffer.ctypes.data // buffer.itemsize) % line
+    return buffer[start : start + size].reshape(shape)
 
 
 @scalar
@@ -112,7 +112,7 @@ def put_positions(x: Floats, atoms: Floats) -> None:
 
 
 @scalar
-def apart2(a: Floats, i: int, b: Floats) -> float:
+def box_distance2(a: Floats, i: int, b: Floats) -> float:
     """Squared distance of a block's atom i from the box around another block."""
     total = 0.0
     for axis in range(3):
@@ -144,33 +144,33 @@ def atoms_of(begin: int, end: int, n: int) -> tuple[int, int]:
 
 
 @scalar
-def take_scalars(begin: int, end: int, sums: Floats, touched: np.ndarray, scalars: Floats) -> None:
+def collect_scalars(begin: int, end: int, sums: Floats, is_written: np.ndarray, scalars: Floats) -> None:
     """Add up row SCALAR of some blocks over the chunks, in their order, into (blocks * W,), and clear it."""
     for b in range(begin, end):
         row = scalars[b * W : (b + 1) * W]
         row[:] = 0.0
         for c in range(CHUNKS):
-            if not touched[c, b]:
+            if not is_written[c, b]:
                 continue
-            some = sums[c, b]
+            chunk_sums = sums[c, b]
             for k in range(W):
-                row[k] += some[SCALAR * W + k]
-                some[SCALAR * W + k] = 0.0
+                row[k] += chunk_sums[SCALAR * W + k]
+                chunk_sums[SCALAR * W + k] = 0.0
 
 
 @scalar
-def add_forces(begin: int, end: int, sums: Floats, touched: np.ndarray, forces: Floats) -> None:
+def add_forces(begin: int, end: int, sums: Floats, is_written: np.ndarray, forces: Floats) -> None:
     """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order."""
     # Only those that a chunk writes to, ``touched`` (CHUNKS, blocks): a region's tiles are few.
     total = np.empty(3 * W)
     for b in range(begin, end):
         total[:] = 0.0
         for c in range(CHUNKS):
-            if not touched[c, b]:
+            if not is_written[c, b]:
                 continue
-            some = sums[c, b]
+            chunk_sums = sums[c, b]
             for k in range(3 * W):
-                total[k] += some[k]
+                total[k] += chunk_sums[k]
         for i in range(b * W, min(len(forces), (b + 1) * W)):
             for axis in range(3):
                 forces[i, axis] = total[axis * W + i - b * W]

@@ -15,9 +15,9 @@ def spline_coefficients(grid: Floats) -> Floats:
     # Brooks, J. Comput. Chem. 25:1400 (2004).
     along = _slopes(grid, 0)
     across = _slopes(grid, 1)
-    both = _slopes(along, 1)
+    cross = _slopes(along, 1)
     corners = np.empty((*grid.shape, 4, 4))
-    for a, (value, slope) in enumerate(((grid, across), (along, both))):
+    for a, (value, slope) in enumerate(((grid, across), (along, cross))):
         for i in (0, 1):
             for j in (0, 1):
                 corners[..., 2 * a + i, j] = np.roll(value, (-i, -j), (0, 1))

@@ -15,10 +15,10 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
-    apart2,
+    box_distance2,
+    chunk_kernel,
     part,
-    shared,
-    tiled,
+    tile_kernel,
 )  # fmt: skip
 from protochain.energies.native.series import inverse_root
 
@@ -31,13 +31,13 @@ _WIDE, _STEEP = 100.0, 0.3e6
 """1/nm^2 and 1/nm^6: a neck of unit height is 1 / (1 + 100 d^2 + 300000 d^6)."""
 
 
-@shared
+@chunk_kernel
 def neck_sums(
-    mine: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
+    chunks: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
     cutoff: float, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the necks' contributions to the Born integrals to row SCALAR of the sums."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -47,13 +47,13 @@ def neck_sums(
             )  # fmt: skip
 
 
-@tiled
+@tile_kernel
 def _neck_tile(
     a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
     a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
-        if apart2(a, i, b) > reach * reach:
+        if box_distance2(a, i, b) > reach * reach:
             continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row = necks[neck_type[i]]
@@ -67,19 +67,19 @@ def _neck_tile(
             di2, dj2 = di * di, dj * dj
             ui, uj = 1.0 + di2 * (_WIDE + _STEEP * di2 * di2), 1.0 + dj2 * (_WIDE + _STEEP * dj2 * dj2)
             # One division for both.
-            both = 1.0 / (ui * uj) if inside else 0.0
-            total += row[HEIGHT_I * W + j] * uj * both
-            b_sums[SCALAR * W + j] += row[HEIGHT_J * W + j] * ui * both
+            inverse_product = 1.0 / (ui * uj) if inside else 0.0
+            total += row[HEIGHT_I * W + j] * uj * inverse_product
+            b_sums[SCALAR * W + j] += row[HEIGHT_J * W + j] * ui * inverse_product
         a_sums[SCALAR * W + i] += total
 
 
-@shared
+@chunk_kernel
 def neck_force_sums(
-    mine: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
+    chunks: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
     cutoff: float, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the forces of the necks, given dE/d(integral) of each atom."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -89,13 +89,13 @@ def neck_force_sums(
             )  # fmt: skip
 
 
-@tiled
+@tile_kernel
 def _neck_force_tile(
     a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
     a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
-        if apart2(a, i, b) > reach * reach:
+        if box_distance2(a, i, b) > reach * reach:
             continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row, pull = necks[neck_type[i]], a[PULL * W + i]
@@ -111,10 +111,10 @@ def _neck_force_tile(
             di2, dj2 = di * di, dj * dj
             di4, dj4 = di2 * di2, dj2 * dj2
             ui, uj = 1.0 + di2 * (_WIDE + _STEEP * di4), 1.0 + dj2 * (_WIDE + _STEEP * dj4)
-            both = 1.0 / (ui * uj)
+            inverse_product = 1.0 / (ui * uj)
             fi = pull * row[HEIGHT_I * W + j] * uj * uj * di * (_WIDE + 3.0 * _STEEP * di4)
             fj = b[PULL * W + j] * row[HEIGHT_J * W + j] * ui * ui * dj * (_WIDE + 3.0 * _STEEP * dj4)
-            f = 2.0 * (fi + fj) * both * both * inverse
+            f = 2.0 * (fi + fj) * inverse_product * inverse_product * inverse
             fx += f * dx
             fy += f * dy
             fz += f * dz

@@ -25,39 +25,39 @@ class Lists:
     close: Integers
     free: Integers  # (n, 2) int: Pairs of ``close`` that are no exceptions.
 
-    def still_hold(self, x: Floats) -> bool:
+    def are_valid(self, x: Floats) -> bool:
         """Whether the lists are valid at x: no atom has moved more than half the skin."""
-        return bool(furthest(self.x, x) <= (0.5 * SKIN) ** 2)
+        return bool(largest_displacement2(self.x, x) <= (0.5 * SKIN) ** 2)
 
 
 def make_lists(
-    x: Floats, near: float, block_near: Floats, necked: float, cutoff: float,
+    x: Floats, near: float, block_near: Floats, neck_reach: float, cutoff: float,
     exceptions: tuple[Integers, Integers], groups: Integers, block_group: Integers,
     tiles: Integers | None = None,
 ) -> Lists:  # fmt: skip
     """Build the neighbour lists."""
     # x (na, 3) nm, near nm, block_near (blocks,) nm, necked nm, cutoff nm, exceptions (na + 1,) int, groups
     # (na, k) int, block_group (blocks,) int, tiles (n, 2) int.
-    boxes, reaches = _boxes(x), (block_near + SKIN, necked + SKIN)
+    boxes, reaches = _boxes(x), (block_near + SKIN, neck_reach + SKIN)
     if tiles is None:
         tiles, is_near, is_necked = _tiles(*boxes, *reaches, cutoff + SKIN)
     else:
-        is_near, is_necked = _kinds(tiles, *boxes, *reaches).T
+        is_near, is_necked = _classify_tiles(tiles, *boxes, *reaches).T
     first, second = block_group[tiles.T]
     changes = (first != second) | (first < 0)
     changing, is_near = tiles[changes], is_near[changes]
-    close, is_free = _close(x, changing[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
+    close, is_free = _close_pairs(x, changing[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
     return Lists(x.copy(), tiles, changing, is_near, is_necked, close, close[is_free])
 
 
 @scalar
-def furthest(a: Floats, b: Floats) -> float:
+def largest_displacement2(a: Floats, b: Floats) -> float:
     """Largest squared displacement of an atom."""
-    most = 0.0
+    largest = 0.0
     for i in range(len(a)):
         dx, dy, dz = a[i, 0] - b[i, 0], a[i, 1] - b[i, 1], a[i, 2] - b[i, 2]
-        most = max(most, dx * dx + dy * dy + dz * dz)
-    return most
+        largest = max(largest, dx * dx + dy * dy + dz * dz)
+    return largest
 
 
 @scalar
@@ -73,19 +73,19 @@ def _boxes(x: Floats) -> tuple[Floats, Floats]:
 
 
 def _tiles(
-    low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
+    low: Floats, high: Floats, near: Floats, neck_reach: float, cutoff: float
 ) -> tuple[Integers, np.ndarray, np.ndarray]:
     """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near; which have necks."""
     axis = int(np.argmax(np.ptp(low, axis=0)))
-    tiles, kinds = _swept(np.argsort(low[:, axis]), axis, low, high, near, necked, cutoff)
+    tiles, kinds = _sweep_tiles(np.argsort(low[:, axis]), axis, low, high, near, neck_reach, cutoff)
     order = np.lexsort((tiles[:, 1], tiles[:, 0]))
     is_near, is_necked = kinds[order].T
     return tiles[order], is_near, is_necked
 
 
 @scalar
-def _swept(
-    order: Integers, axis: int, low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
+def _sweep_tiles(
+    order: Integers, axis: int, low: Floats, high: Floats, near: Floats, neck_reach: float, cutoff: float
 ) -> tuple[Integers, np.ndarray]:
     """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns."""
     # Along the axis on which they spread most, blocks are read as they begin, and each is compared with those
@@ -99,54 +99,54 @@ def _swept(
             j = order[b]
             if low[j, axis] >= high[i, axis] + cutoff:
                 break
-            apart = _apart2(low, high, i, j)
-            if apart < cutoff * cutoff:
+            distance2 = _box_distance2(low, high, i, j)
+            if distance2 < cutoff * cutoff:
                 if count == room:
                     room *= 2
-                    tiles, kinds = wider(tiles, room), wider(kinds, room)
+                    tiles, kinds = grow_rows(tiles, room), grow_rows(kinds, room)
                 tiles[count, 0], tiles[count, 1] = min(i, j), max(i, j)
-                kinds[count, 0] = apart < max(near[i], near[j]) ** 2
-                kinds[count, 1] = apart < necked * necked
+                kinds[count, 0] = distance2 < max(near[i], near[j]) ** 2
+                kinds[count, 1] = distance2 < neck_reach * neck_reach
                 count += 1
     return tiles[:count].copy(), kinds[:count].copy()
 
 
 @scalar
-def _kinds(
-    tiles: Integers, low: Floats, high: Floats, near: Floats, necked: float
+def _classify_tiles(
+    tiles: Integers, low: Floats, high: Floats, near: Floats, neck_reach: float
 ) -> np.ndarray:  # fmt: skip
     """Which pairs of blocks are near, and which have necks, as two columns."""
     kinds = np.empty((len(tiles), 2), np.bool_)
     for k in range(len(tiles)):
-        apart = _apart2(low, high, tiles[k, 0], tiles[k, 1])
-        kinds[k, 0] = apart < max(near[tiles[k, 0]], near[tiles[k, 1]]) ** 2
-        kinds[k, 1] = apart < necked * necked
+        distance2 = _box_distance2(low, high, tiles[k, 0], tiles[k, 1])
+        kinds[k, 0] = distance2 < max(near[tiles[k, 0]], near[tiles[k, 1]]) ** 2
+        kinds[k, 1] = distance2 < neck_reach * neck_reach
     return kinds
 
 
 @scalar
-def _apart2(low: Floats, high: Floats, i: int, j: int) -> float:
+def _box_distance2(low: Floats, high: Floats, i: int, j: int) -> float:
     """Squared distance of two boxes."""
-    apart = 0.0
+    distance2 = 0.0
     for k in range(3):
         gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
-        apart += gap * gap
-    return apart
+        distance2 += gap * gap
+    return distance2
 
 
 @scalar
-def wider(rows: np.ndarray, room: int) -> np.ndarray:
+def grow_rows(rows: np.ndarray, room: int) -> np.ndarray:
     """Rows, and room for more behind them."""
-    found = np.empty((room, rows.shape[1]), rows.dtype)
+    grown = np.empty((room, rows.shape[1]), rows.dtype)
     # Element by element: an assignment of slices takes three seconds to compile.
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
-            found[i, j] = rows[i, j]
-    return found
+            grown[i, j] = rows[i, j]
+    return grown
 
 
 @scalar
-def _close(
+def _close_pairs(
     x: Floats, tiles: Integers, reach: float, start: Integers, partner: Integers, groups: Integers
 ) -> tuple[Integers, np.ndarray]:
     n, room = len(x), 1024
@@ -155,11 +155,11 @@ def _close(
     for k in range(len(tiles)):
         for i in range(tiles[k, 0] * W, min(n, (tiles[k, 0] + 1) * W)):
             for j in range(max(i + 1, tiles[k, 1] * W), min(n, (tiles[k, 1] + 1) * W)):
-                if difference(x, i, j)[3] >= reach * reach or _share(groups, i, j):
+                if difference(x, i, j)[3] >= reach * reach or _share_group(groups, i, j):
                     continue
                 if count == room:
                     room *= 2
-                    pairs, is_free = wider(pairs, room), wider(is_free, room)
+                    pairs, is_free = grow_rows(pairs, room), grow_rows(is_free, room)
                 pairs[count, 0], pairs[count, 1], is_free[count, 0] = i, j, True
                 for place in range(start[i], start[i + 1]):
                     if partner[place] == j:
@@ -169,7 +169,7 @@ def _close(
 
 
 @scalar
-def _share(groups: Integers, i: int, j: int) -> bool:
+def _share_group(groups: Integers, i: int, j: int) -> bool:
     """Whether two atoms share a rigid group."""
     for a in range(groups.shape[1]):
         for b in range(groups.shape[1]):
@@ -180,11 +180,11 @@ def _share(groups: Integers, i: int, j: int) -> bool:
 
 def block_groups(groups: Integers) -> Integers:
     """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none: groups (na, k) int."""
-    found = []
+    group = []
     for first in range(0, len(groups), W):
-        own = groups[first : first + W]
-        found.append(min((g for g in own[0] if g >= 0 and (own == g).any(axis=1).all()), default=-1))
-    return np.array(found, dtype=np.int64)
+        rows = groups[first : first + W]
+        group.append(min((g for g in rows[0] if g >= 0 and (rows == g).any(axis=1).all()), default=-1))
+    return np.array(group, dtype=np.int64)
 
 
 def partners(pairs: Integers, n: int) -> tuple[Integers, Integers]:

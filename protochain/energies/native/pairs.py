@@ -21,12 +21,12 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
-    apart2,
+    box_distance2,
+    chunk_kernel,
     far_rows2,
     part,
     scalar,
-    shared,
-    tiled,
+    tile_kernel,
     variant,
 )  # fmt: skip
 from protochain.energies.native.series import inverse_root, slope_series
@@ -38,13 +38,13 @@ CLOSEST = 1e-12
 """nm^2. Smallest squared distance: coincident atoms give large, not infinite, numbers."""
 
 
-@shared
+@chunk_kernel
 def pair_sums(
-    mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
+    chunks: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
     near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb forces and energies of all tiles, by chunk."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
@@ -57,14 +57,14 @@ def pair_sums(
         energies[c] += energy
 
 
-@shared
+@chunk_kernel
 def solvated_pair_sums(
-    mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
+    chunks: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
     near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom."""
     # Together, because both need inverse distances.
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
@@ -77,7 +77,7 @@ def solvated_pair_sums(
         energies[c] += energy
 
 
-@tiled
+@tile_kernel
 def _pair_tile(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
     cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
@@ -88,7 +88,7 @@ def _pair_tile(
     )  # fmt: skip
 
 
-@tiled
+@tile_kernel
 def _solvated_tile(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
     cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
@@ -107,7 +107,7 @@ def _tile(
     energy = 0.0
     for i in range(W):
         row, first = lj[lj_type[i]], i if same else -1
-        if apart2(a, i, b) < far2:
+        if box_distance2(a, i, b) < far2:
             put_inverses(a, i, b, first, True, near2, cutoff2, inverses)
             energy += add_pairs(a, i, b, row, True, in_solvent, krf, crf, inverses, a_sums, b_sums)
         else:
@@ -169,33 +169,33 @@ def add_pairs(
     return energy
 
 
-@shared
+@chunk_kernel
 def near_sums(
-    mine: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
+    chunks: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
     near: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb of the listed pairs nearer than ``near``."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(pairs), c)
         energy = 0.0
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
             dx, dy, dz, r2 = difference(x, i, j)
             if r2 < near * near:
-                kind, other = lj_type[i], lj_type[j]
-                e, f = lj_coulomb(r2, a12[kind, other], b6[kind, other], charge[i] * charge[j], krf, crf)
+                ti, tj = lj_type[i], lj_type[j]
+                e, f = lj_coulomb(r2, a12[ti, tj], b6[ti, tj], charge[i] * charge[j], krf, crf)
                 energy += e
                 push(sums[c], i, j, f * dx, f * dy, f * dz)
         energies[c] += energy
 
 
-@shared
+@chunk_kernel
 def exception_sums(
-    mine: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
+    chunks: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
     parameters: Floats, near: float, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add exceptions, pairs with their own parameters (A, B, q q), and subtract what the tiles computed."""
-    for c in range(*mine):
+    for c in range(*chunks):
         begin, end = part(len(pairs), c)
         energy = 0.0
         for k in range(begin, end):
@@ -203,9 +203,9 @@ def exception_sums(
             dx, dy, dz, r2 = difference(x, i, j)
             e, f = lj_coulomb(r2, parameters[k, 0], parameters[k, 1], parameters[k, 2], 0.0, 0.0)
             if near * near <= r2 < cutoff * cutoff:
-                kind, other = lj_type[i], lj_type[j]
-                had = lj_coulomb(r2, a12[kind, other], b6[kind, other], charge[i] * charge[j], krf, crf)
-                e, f = e - had[0], f - had[1]
+                ti, tj = lj_type[i], lj_type[j]
+                tile = lj_coulomb(r2, a12[ti, tj], b6[ti, tj], charge[i] * charge[j], krf, crf)
+                e, f = e - tile[0], f - tile[1]
             energy += e
             push(sums[c], i, j, f * dx, f * dy, f * dz)
         energies[c] += energy

@@ -24,10 +24,10 @@ def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
     """What a getter of a force returns for each index up to a count, as plain numbers in OpenMM's units."""
     # OpenMM's own wraps each in a quantity, which takes three quarters of the time.
     read = getattr(openmm.openmm._openmm, f"{type(force).__name__}_{get}", None)
-    each = range(getattr(force, count)())
+    indices = range(getattr(force, count)())
     if read is None:  # In a version of OpenMM that has other insides.
-        return [[plain(v) if unit.is_quantity(v) else v for v in getattr(force, get)(i)] for i in each]
-    return [read(force, i) for i in each]
+        return [[plain(v) if unit.is_quantity(v) else v for v in getattr(force, get)(i)] for i in indices]
+    return [read(force, i) for i in indices]
 
 
 def plain(value: Any) -> float:
@@ -36,14 +36,14 @@ def plain(value: Any) -> float:
     return float(value._value if isinstance(value, unit.Quantity) else value)
 
 
-def bare(expression: str) -> str:
+def strip(expression: str) -> str:
     """Return an expression without blanks and closing semicolon."""
     return "".join(expression.split()).rstrip(";")
 
 
-def one_cutoff(name: str, cutoff: float, other: float) -> None:
+def check_cutoff(name: str, cutoff: float, reference: float) -> None:
     """Refuse a force whose cutoff (nm; infinite for none) differs from that of NonbondedForce."""
-    if cutoff != other:
+    if cutoff != reference:
         raise UnsupportedForceError(
-            f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {other:g} nm"
+            f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {reference:g} nm"
         )

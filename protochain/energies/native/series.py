@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from protochain.energies.native.layout import ordered
+from protochain.energies.native.layout import ordered_kernel
 
 NEAR_RATIO = 0.5
 """Largest s / r for which the near series hold."""
@@ -16,33 +16,33 @@ FAR_RATIO = 0.24
 """Largest s / r for which the far series hold."""
 
 
-def interpolated(
+def fit_chebyshev(
     function: Callable[[np.ndarray], np.ndarray], degree: int, low: float, high: float
 ) -> tuple[float, ...]:
     """Coefficients of the polynomial through a function at Chebyshev points."""
-    found = np.polynomial.Chebyshev.interpolate(function, degree, [low, high])
-    return tuple(float(c) for c in found.convert(kind=np.polynomial.Polynomial).coef)
+    polynomial = np.polynomial.Chebyshev.interpolate(function, degree, [low, high])
+    return tuple(float(c) for c in polynomial.convert(kind=np.polynomial.Polynomial).coef)
 
 
-def of_integral(y: np.ndarray) -> np.ndarray:
+def integral_sum(y: np.ndarray) -> np.ndarray:
     """Sum of 2k/(2k+1) y^(k-1)."""
     return np.sum([2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
-def of_slope(y: np.ndarray) -> np.ndarray:
+def slope_sum(y: np.ndarray) -> np.ndarray:
     """Sum of 2k (2k+2)/(2k+1) y^(k-1)."""
     return np.sum([2 * k * (2 * k + 2) / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
-NEAR_INTEGRAL = interpolated(of_integral, 11, 0.0, NEAR_RATIO**2)
-NEAR_SLOPE = interpolated(of_slope, 11, 0.0, NEAR_RATIO**2)
-FAR_INTEGRAL = interpolated(of_integral, 6, 0.0, FAR_RATIO**2)
-FAR_SLOPE = interpolated(of_slope, 6, 0.0, FAR_RATIO**2)
+NEAR_INTEGRAL = fit_chebyshev(integral_sum, 11, 0.0, NEAR_RATIO**2)
+NEAR_SLOPE = fit_chebyshev(slope_sum, 11, 0.0, NEAR_RATIO**2)
+FAR_INTEGRAL = fit_chebyshev(integral_sum, 6, 0.0, FAR_RATIO**2)
+FAR_SLOPE = fit_chebyshev(slope_sum, 6, 0.0, FAR_RATIO**2)
 """Coefficients of g(y) and h(y), y = (s/r)^2, of the descreening integral s^3 g / (2 r^4) and its slope
 -s^3 h / (2 r^5)."""
-_POWER = interpolated(np.exp2, 9, -0.5, 0.5)
-_ROOT = interpolated(lambda e: (1.0 - e) ** -0.5, 3, -0.0705, 0.0675)
-_LOG = interpolated(
+_POWER = fit_chebyshev(np.exp2, 9, -0.5, 0.5)
+_ROOT = fit_chebyshev(lambda e: (1.0 - e) ** -0.5, 3, -0.0705, 0.0675)
+_LOG = fit_chebyshev(
     lambda w: np.sum([2.0 / (2 * k + 1) * w**k for k in range(60)], axis=0), 6, 0.0, (3.0 - 8.0**0.5) ** 2
 )
 _SMALLEST_POWER = -60.0
@@ -63,64 +63,64 @@ _Coefficients = tuple[float, ...]
 
 # Plain Horner: fewest operations. With terms in pairs, LLVM's superword-level vectoriser takes a helper
 # before the loop vectoriser sees it in its loop.
-@ordered
-def _four(c: _Coefficients, x: float) -> float:
+@ordered_kernel
+def _horner_4(c: _Coefficients, x: float) -> float:
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
 
 
-@ordered
-def _seven(c: _Coefficients, x: float) -> float:
-    return c[0] + x * (c[1] + x * (c[2] + x * _four(c[3:], x)))
+@ordered_kernel
+def _horner_7(c: _Coefficients, x: float) -> float:
+    return c[0] + x * (c[1] + x * (c[2] + x * _horner_4(c[3:], x)))
 
 
-@ordered
-def _ten(c: _Coefficients, x: float) -> float:
-    return c[0] + x * (c[1] + x * (c[2] + x * _seven(c[3:], x)))
+@ordered_kernel
+def _horner_10(c: _Coefficients, x: float) -> float:
+    return c[0] + x * (c[1] + x * (c[2] + x * _horner_7(c[3:], x)))
 
 
-@ordered
-def _twelve(c: _Coefficients, x: float) -> float:
-    return c[0] + x * (c[1] + x * _ten(c[2:], x))
+@ordered_kernel
+def _horner_12(c: _Coefficients, x: float) -> float:
+    return c[0] + x * (c[1] + x * _horner_10(c[2:], x))
 
 
-@ordered
+@ordered_kernel
 def integral_series(y: float, near: bool) -> float:
     """g(y), of twelve terms if near and seven otherwise."""
     if near:
-        return _twelve(NEAR_INTEGRAL, y)
-    return _seven(FAR_INTEGRAL, y)
+        return _horner_12(NEAR_INTEGRAL, y)
+    return _horner_7(FAR_INTEGRAL, y)
 
 
-@ordered
+@ordered_kernel
 def slope_series(y: float, near: bool) -> float:
     """h(y), of twelve terms if near and seven otherwise."""
     if near:
-        return _twelve(NEAR_SLOPE, y)
-    return _seven(FAR_SLOPE, y)
+        return _horner_12(NEAR_SLOPE, y)
+    return _horner_7(FAR_SLOPE, y)
 
 
-@ordered
+@ordered_kernel
 def power_of_two(y: float) -> float:
     """2^y for y <= 0; 2^-60, negligible beside what it is added to, for y < -60."""
     # y = n + z, n whole: n goes into the bits of the exponent.
     y = max(y, _SMALLEST_POWER)
     rounded = y + _ROUNDING
-    value = _ten(_POWER, y - (rounded - _ROUNDING))
+    value = _horner_10(_POWER, y - (rounded - _ROUNDING))
     bits = np.float64(value).view(np.uint64) + (np.float64(rounded).view(np.uint64) << _MANTISSA)
     return float(np.uint64(bits).view(np.float64))
 
 
-@ordered
+@ordered_kernel
 def inverse_root(x: float) -> float:
     """1 / sqrt(x), finite for x = 0: three times as fast as the divider of a processor."""
     # From a guess y by the bits of x, 1 / sqrt(x) = y (1 - e)^(-1/2), e = 1 - x y^2, as a polynomial, twice.
     y = np.uint64(_HALVED - (np.float64(x).view(np.uint64) >> _ONE)).view(np.float64)
-    y *= _four(_ROOT, 1.0 - x * y * y)
+    y *= _horner_4(_ROOT, 1.0 - x * y * y)
     e = 1.0 - x * y * y
     return float(y + y * e * (0.5 + 0.375 * e))
 
 
-@ordered
+@ordered_kernel
 def logarithm(x: float) -> float:
     """log(x) of a positive, normal x = 2^n m, m from 0.71 to 1.41: n log(2) + 2 atanh((m - 1) / (m + 1))."""
     bits = np.float64(x).view(np.uint64)
@@ -128,4 +128,4 @@ def logarithm(x: float) -> float:
     m = np.uint64(bits - ((exponent - _BIAS) << _MANTISSA)).view(np.float64)
     n = np.uint64(_ROUNDING_BITS + exponent - _BIAS).view(np.float64) - _ROUNDING
     t = (m - 1.0) / (m + 1.0)
-    return float(n * _LN2 + t * _seven(_LOG, t * t))
+    return float(n * _LN2 + t * _horner_7(_LOG, t * t))

@@ -7,7 +7,7 @@ has a force.
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native.layout import shared, variant
+from protochain.energies.native.layout import chunk_kernel, variant
 from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.series import inverse_root, power_of_two
 
@@ -16,7 +16,7 @@ LENNARD_JONES, COULOMB, POLAR = range(3)
 _LOG2E = float(1.0 / np.log(2.0))
 
 
-@shared
+@chunk_kernel
 def residue_sums(
     first: int, last: int, start: Integers, x: Floats, charge: Floats, lj_type: Integers, a12: Floats,
     b6: Floats, partner_start: Integers, partners: Integers, cutoff: float, krf: float, crf: float,
@@ -60,9 +60,9 @@ def _pairs(
         r2 = max(dx * dx + dy * dy + dz * dz, CLOSEST)
         inverse = inverse_root(r2)
         sixth = (inverse * inverse) ** 3
-        counts = free[j] if r2 < cutoff * cutoff else 0.0
-        lj += counts * sixth * (a12[lj_type[j]] * sixth - b6[lj_type[j]])
-        coulomb += counts * charge[j] * (inverse + krf * r2 - crf)
+        weight = free[j] if r2 < cutoff * cutoff else 0.0
+        lj += weight * sixth * (a12[lj_type[j]] * sixth - b6[lj_type[j]])
+        coulomb += weight * charge[j] * (inverse + krf * r2 - crf)
     return lj, charge[i] * coulomb
 
 
@@ -76,7 +76,7 @@ def _polar(
     for j in range(begin, end):
         dx, dy, dz = xi - x[0, j], yi - x[1, j], zi - x[2, j]
         r2 = dx * dx + dy * dy + dz * dz
-        both = born[i] * born[j]
-        inverse_f = inverse_root(r2 + both * power_of_two(-_LOG2E * 0.25 * r2 / both))
+        born_product = born[i] * born[j]
+        inverse_f = inverse_root(r2 + born_product * power_of_two(-_LOG2E * 0.25 * r2 / born_product))
         energy -= gb_charge[j] * (inverse_f - shift) if r2 < cutoff * cutoff else 0.0
     return gb_charge[i] * energy

@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
-from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain, rows
+from protochain.energies.native.reading import UnsupportedForceError, check_cutoff, plain, rows, strip
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,48 +60,48 @@ class Terms:
     def centres(self) -> Integers:
         """(n, 2) int: atom that the others are bonded to, twice, or if there is none the middle two."""
         # Of the torsions that are not proper, then of the impropers.
-        others = self.bonded["torsions"].atoms[~self.is_proper]
-        atoms = np.concatenate([others, self.bonded["impropers"].atoms])
-        found = atoms[:, 1:3].copy()
+        impropers = self.bonded["torsions"].atoms[~self.is_proper]
+        atoms = np.concatenate([impropers, self.bonded["impropers"].atoms])
+        centres = atoms[:, 1:3].copy()
         for k in range(4):
-            is_near = [self._near(atoms[:, k], atoms[:, other]) for other in range(4) if other != k]
+            is_near = [self._near(atoms[:, k], atoms[:, partner]) for partner in range(4) if partner != k]
             is_centre = np.all(is_near, axis=0)
-            found[is_centre] = atoms[is_centre][:, [k, k]]
-        return found
+            centres[is_centre] = atoms[is_centre][:, [k, k]]
+        return centres
 
-    def _near(self, one: Integers, other: Integers) -> NDArray[np.bool_]:
+    def _near(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
         """Whether atoms (n,) and (n,) are bonded."""
         bonds = np.sort(self.bonded["bonds"].atoms, axis=1) @ [self.n_atoms, 1]
-        return np.isin(self.n_atoms * np.minimum(one, other) + np.maximum(one, other), bonds)
+        return np.isin(self.n_atoms * np.minimum(first, second) + np.maximum(first, second), bonds)
 
 
 def compile_system(system: openmm.System) -> Terms:
     """Read the terms of a System."""
-    found: dict[str, list[openmm.Force]] = {}
+    forces_by_class: dict[str, list[openmm.Force]] = {}
     for force in system.getForces():
-        found.setdefault(type(force).__name__, []).append(force)
-    found.pop("CMMotionRemover", None)
-    unknown = sorted(set(found) - set(_READERS) - {"NonbondedForce", *_WITH_NONBONDED})
+        forces_by_class.setdefault(type(force).__name__, []).append(force)
+    forces_by_class.pop("CMMotionRemover", None)
+    unknown = sorted(set(forces_by_class) - set(_READERS) - {"NonbondedForce", *_WITH_NONBONDED})
     if unknown:
         raise UnsupportedForceError(f"{unknown[0]} has no native kernel")
     if any(system.isVirtualSite(i) for i in range(system.getNumParticles())):
         raise UnsupportedForceError("virtual sites have no native kernel")
-    twice = [name for name in found if name in _ONCE and len(found[name]) > 1]
-    if twice:
-        raise UnsupportedForceError(f"more than one {twice[0]}")
-    for forces in found.values():
+    repeated = [name for name in forces_by_class if name in _ONCE and len(forces_by_class[name]) > 1]
+    if repeated:
+        raise UnsupportedForceError(f"more than one {repeated[0]}")
+    for forces in forces_by_class.values():
         for force in forces:
             if force.usesPeriodicBoundaryConditions():
                 raise UnsupportedForceError(f"{type(force).__name__} with periodic boundaries")
-    bonded = {kind: Bonded(*_stacked(kind, found)) for kind in _SHAPES}
-    maps = [m for force in found.get("CMAPTorsionForce", []) for m in _maps(force)]
+    bonded = {kind: Bonded(*_stack_terms(kind, forces_by_class)) for kind in _SHAPES}
+    maps = [m for force in forces_by_class.get("CMAPTorsionForce", []) for m in _read_maps(force)]
     sizes = {len(m) for m in maps}
     if len(sizes) > 1:
         raise UnsupportedForceError("CMAPTorsionForce with maps of different sizes")
     coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else np.zeros((1, 1, 1, 4, 4))
-    nonbonded, solvent = _nonbonded(system, found), _solvent(found)
+    nonbonded, solvent = _read_nonbonded(system, forces_by_class), _read_solvent(forces_by_class)
     if solvent is not None:
-        one_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
+        check_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
     return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
 
 
@@ -117,28 +117,28 @@ _WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "C
 _ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
 
 
-def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers, Floats]:
+def _stack_terms(kind: str, forces_by_class: dict[str, list[openmm.Force]]) -> tuple[Integers, Floats]:
     n_atoms, n_parameters = _SHAPES[kind]
     rows = [
         row
-        for name, (its_kind, read) in _READERS.items() if its_kind == _TIED.get(kind, kind)
-        for force in found.get(name, []) if (force.getName() == TIES) == (kind in _TIED)
+        for name, (kind_read, read) in _READERS.items() if kind_read == _TIED.get(kind, kind)
+        for force in forces_by_class.get(name, []) if (force.getName() == TIES) == (kind in _TIED)
         for row in read(force)
     ]  # fmt: skip
     table = np.array(rows, dtype=float).reshape(-1, n_atoms + n_parameters)
     return table[:, :n_atoms].astype(np.int64), table[:, n_atoms:].copy()
 
 
-def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
+def _read_impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
     names = [force.getPerTorsionParameterName(i) for i in range(force.getNumPerTorsionParameters())]
-    if bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
+    if strip(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
         raise UnsupportedForceError(f"CustomTorsionForce {force.getEnergyFunction()!r}")
     order = [names.index("theta0"), names.index("k")]
     read = rows(force, "getNumTorsions", "getTorsionParameters")
     return [[*row[:4], *(row[4][place] for place in order)] for row in read]
 
 
-def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
+def _read_map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
     read = rows(force, "getNumTorsions", "getTorsionParameters")
     return [[*row[1:], row[0]] for row in read]
 
@@ -147,20 +147,20 @@ _READERS = {
     "HarmonicBondForce": ("bonds", lambda force: rows(force, "getNumBonds", "getBondParameters")),
     "HarmonicAngleForce": ("angles", lambda force: rows(force, "getNumAngles", "getAngleParameters")),
     "PeriodicTorsionForce": ("torsions", lambda force: rows(force, "getNumTorsions", "getTorsionParameters")),
-    "CustomTorsionForce": ("impropers", _impropers),
-    "CMAPTorsionForce": ("maps", _map_torsions),
+    "CustomTorsionForce": ("impropers", _read_impropers),
+    "CMAPTorsionForce": ("maps", _read_map_torsions),
 }
 
 
-def _maps(force: openmm.CMAPTorsionForce) -> list[Floats]:
+def _read_maps(force: openmm.CMAPTorsionForce) -> list[Floats]:
     read = [force.getMapParameters(i) for i in range(force.getNumMaps())]
     # OpenMM's first angle runs fastest.
     return [np.array([plain(v) for v in values]).reshape(size, size).T for size, values in read]
 
 
-def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> Nonbonded:
+def _read_nonbonded(system: openmm.System, forces_by_class: dict[str, list[openmm.Force]]) -> Nonbonded:
     n = system.getNumParticles()
-    force = found.get("NonbondedForce", [openmm.NonbondedForce()])[0]
+    force = forces_by_class.get("NonbondedForce", [openmm.NonbondedForce()])[0]
     if not force.getNumParticles():
         for _ in range(n):
             force.addParticle(0.0, 1.0, 0.0)
@@ -178,40 +178,40 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
     charge, sigma, epsilon = particles.T
     # Without a well, sigma has no meaning: all such atoms share a type.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
-    table = found.get("CustomNonbondedForce")
+    table = forces_by_class.get("CustomNonbondedForce")
     if table:
-        kinds[:, 2] = _types_of(table[0], force)
+        kinds[:, 2] = _read_types(table[0], force)
     types, lj_type = np.unique(kinds, axis=0, return_inverse=True)
     s6 = (0.5 * (types[:, None, 0] + types[None, :, 0])) ** 6
     b6 = 4.0 * np.sqrt(types[:, None, 1] * types[None, :, 1]) * s6
     a12 = b6 * s6
     if table:
-        which = types[:, 2].astype(int)
-        more_a, more_b = _tables(table[0])
-        a12, b6 = a12 + more_a[np.ix_(which, which)], b6 + more_b[np.ix_(which, which)]
+        table_type = types[:, 2].astype(int)
+        more_a, more_b = _read_tables(table[0])
+        a12, b6 = a12 + more_a[np.ix_(table_type, table_type)], b6 + more_b[np.ix_(table_type, table_type)]
     return Nonbonded(
-        charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6, _exceptions(force, found),
-        cutoff, krf, crf,
+        charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6,
+        _read_exceptions(force, forces_by_class), cutoff, krf, crf,
     )  # fmt: skip
 
 
-def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force]]) -> Bonded:
+def _read_exceptions(force: openmm.NonbondedForce, forces_by_class: dict[str, list[openmm.Force]]) -> Bonded:
     read = np.array(rows(force, "getNumExceptions", "getExceptionParameters"), dtype=float).reshape(-1, 5)
     pairs = np.sort(read[:, :2].astype(np.int64), axis=1)
     parameters = np.column_stack([_well(*read[:, 3:].T), read[:, 2] * COULOMB])
     keys = pairs @ (key := [force.getNumParticles(), 1])
     order = np.argsort(keys)
-    for custom in found.get("CustomBondForce", []):
+    for custom in forces_by_class.get("CustomBondForce", []):
         names = [custom.getPerBondParameterName(i) for i in range(custom.getNumPerBondParameters())]
-        known = bare(custom.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
-        if not known or sorted(names) != ["epsilon", "sigma"]:
+        is_lj = strip(custom.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
+        if not is_lj or sorted(names) != ["epsilon", "sigma"]:
             raise UnsupportedForceError(f"CustomBondForce {custom.getEnergyFunction()!r}")
         bonds = rows(custom, "getNumBonds", "getBondParameters")
         if not bonds:
             continue
-        own = np.sort([bond[:2] for bond in bonds], axis=1) @ key
-        place = np.searchsorted(keys, own, sorter=order)
-        if not np.isin(own, keys).all():
+        bond_keys = np.sort([bond[:2] for bond in bonds], axis=1) @ key
+        place = np.searchsorted(keys, bond_keys, sorter=order)
+        if not np.isin(bond_keys, keys).all():
             raise UnsupportedForceError("CustomBondForce between atoms that are no exception")
         sizes = np.array([bond[2] for bond in bonds]).T[[names.index("sigma"), names.index("epsilon")]]
         np.add.at(parameters[:, :2], order[place], _well(*sizes))
@@ -224,20 +224,22 @@ def _well(sigma: Floats, epsilon: Floats) -> Floats:
     return np.column_stack([b6 * sigma**6, b6])
 
 
-def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
+def _read_types(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
     """Type of each particle in CHARMM's table of Lennard-Jones parameters."""
     names = [table.getPerParticleParameterName(i) for i in range(table.getNumPerParticleParameters())]
-    known = (
-        bare(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
+    is_supported = (
+        strip(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
         and names == ["type"]
         and not table.getNumInteractionGroups()
         and table.getNonbondedMethod() == force.getNonbondedMethod()
         and not table.getUseSwitchingFunction()
     )
-    if not known:
+    if not is_supported:
         raise UnsupportedForceError(f"CustomNonbondedForce {table.getEnergyFunction()!r}")
     if force.getNonbondedMethod() != force.NoCutoff:
-        one_cutoff("CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance()))
+        check_cutoff(
+            "CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance())
+        )
     excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
     exceptions = {tuple(sorted(row[:2])) for row in rows(force, "getNumExceptions", "getExceptionParameters")}
     if excluded != exceptions:
@@ -245,7 +247,7 @@ def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) 
     return [table.getParticleParameters(i)[0] for i in range(table.getNumParticles())]
 
 
-def _tables(table: openmm.CustomNonbondedForce) -> tuple[Floats, Floats]:
+def _read_tables(table: openmm.CustomNonbondedForce) -> tuple[Floats, Floats]:
     read = {}
     for i in range(table.getNumTabulatedFunctions()):
         width, height, values = table.getTabulatedFunction(i).getFunctionParameters()
@@ -253,11 +255,11 @@ def _tables(table: openmm.CustomNonbondedForce) -> tuple[Floats, Floats]:
     return read["acoef"], read["bcoef"]
 
 
-def _solvent(found: dict[str, list[openmm.Force]]) -> Solvent | None:
-    if "GBSAOBCForce" in found and "CustomGBForce" in found:
+def _read_solvent(forces_by_class: dict[str, list[openmm.Force]]) -> Solvent | None:
+    if "GBSAOBCForce" in forces_by_class and "CustomGBForce" in forces_by_class:
         raise UnsupportedForceError("GBSAOBCForce together with CustomGBForce")
-    for force in found.get("GBSAOBCForce", []):
+    for force in forces_by_class.get("GBSAOBCForce", []):
         return from_gbsa_obc(force)
-    for force in found.get("CustomGBForce", []):
+    for force in forces_by_class.get("CustomGBForce", []):
         return from_custom_gb(force)
     return None

@@ -50,7 +50,7 @@ def evaluated(space: Space, of: NativeEnergy, q: Floats) -> Answer:
 
 def counted(of: NativeEnergy, chain: Chain | None = None) -> Counted:
     """Counts of an energy with the lists in use."""
-    return lambda: {**of.visited, "bodies": chain.n_bodies if chain else 0}
+    return lambda: {**of.operation_counts, "bodies": chain.n_bodies if chain else 0}
 
 
 def constants(material: Material, solvent: str, hinges: str, move: str) -> TwoWays:
