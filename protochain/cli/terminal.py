@@ -345,9 +345,9 @@ def print_table(records: list[dict[str, Any]]) -> None:
     """Print a table with a row for each record, and below it their messages."""
     from rich.table import Table
 
-    from protochain.minimisers.record import shown
+    from protochain.minimisers.record import short_columns
 
-    columns_shown = shown(records)
+    columns_shown = short_columns(records)
     rows = [[_cell(column, record[column.key]) for column in columns_shown] for record in records]
     console = printer()
     headings = [f"{c.short or c.heading} {c.unit}".strip() for c in columns_shown]

@@ -23,7 +23,7 @@ from protochain.comparison.work import at_equal_cost, work_to_reach
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.minimisers import Solution
-from protochain.minimisers.record import shown
+from protochain.minimisers.record import short_columns
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.results.columns import flat
 from protochain.results.figures import data_url
@@ -279,7 +279,7 @@ class Comparison:
         return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"
 
     def _repr_html_(self) -> str:
-        columns = shown(self.table.to_dict("records"))
+        columns = short_columns(self.table.to_dict("records"))
         return self.table[[column.key for column in columns]].to_html(index=False)
 
 
@@ -346,7 +346,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
         structure=comparison.structure,
         solutions=comparison.solutions,
         message=comparison.message,
-        shown=shown(rows),
+        shown=short_columns(rows),
         rows=rows,
         lost=loss_lines(summary["results"]),
         rmsd=comparison.rmsd,

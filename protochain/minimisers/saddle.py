@@ -175,7 +175,7 @@ class Curvature:
             return replace(state, value=np.nan)
         return _add_vector(state, vector, product)
 
-    def x_(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
+    def _measure_eigenvalue(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with the eigenvalue; None if there is no direction to turn in."""
         if state.direction is None:
             return None
