@@ -1,4 +1,4 @@
-"""Formats of structure files, and their parsing by gemmi; truncated or garbled files are refused."""
+"""Formats of structure files and their parsing by gemmi. Truncated and damaged files raise errors."""
 
 import bz2
 import codecs
@@ -36,14 +36,14 @@ from protochain.structure.molecule.residues import STANDARD, Residue
 from protochain.structure.molecule.templates import standard_name
 
 MAX_MEGABYTES = 512
-"""Largest text, after decompression; the largest files of the PDB are smaller."""
+"""Largest text after decompression. The largest files of the PDB are smaller."""
 MAX_LINES = 8_000_000
-"""Most lines of it: as many bytes of atom records have fewer, and empty ones pack into nothing."""
+"""Largest number of lines. A small compressed file could otherwise contain very many empty lines."""
 MAX_ATOMS = 250_000
-"""Largest model: preparation takes some ten kilobytes an atom, energies without a cutoff quadratic time."""
+"""Largest model. Preparation needs about 10 kB per atom, energies without a cutoff quadratic time."""
 STANDARD_INPUT = Path("-")
 SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF", ".pdbx": "mmCIF"}
-"""Format by suffix. It decides how a file is written; reading goes by the content."""
+"""Format of written files by suffix. For input files, the content determines the format."""
 PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     # Without the time of writing: the same structure gives the same bytes.
     ".gz": lambda data: gzip.compress(data, mtime=0),
@@ -51,47 +51,47 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     ".xz": lzma.compress,
     ".zst": zstandard.compress,
 }
-"""How a file is packed, by the suffix after that of its format."""
+"""Compression functions by the last suffix."""
 
 _COORDINATE_COLUMNS = 54
 _USED = slice(12, 66)
-"""Columns of an atom record, from its name to its B factor."""
+"""Columns of an atom record from the atom name to the B factor."""
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 _LONGEST_NAME = 80
-"""Letters of the name of a chain, residue or atom; longer ones are refused: messages quote them."""
+"""Maximum length of names of chains, residues and atoms. Messages quote these names."""
 _HEAVIEST = 111
-"""Atomic number of the last element that OpenMM knows."""
+"""Atomic number of the last element of OpenMM."""
 _UNKNOWN = "UNL"
-"""Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
+"""Residue name of the PDB for unknown ligands. mmCIF does not permit empty names."""
 _NAMELESS = "X"
-"""Name of atoms without one, as of an unknown element."""
+"""Name of atoms without a name, the symbol of an unknown element."""
 _FARTHEST = 1e5
-"""Angstrom. Larger coordinates are refused."""
+"""Angstrom. Larger coordinates raise an error."""
 
 
 def split_name(path: Path) -> tuple[str, str, str]:
-    """Split the name of a file: ``1abc.pdb.gz`` is ``1abc``, ``.pdb`` and ``.gz``."""
+    """Split a file name: ``1abc.pdb.gz`` gives ``1abc``, ``.pdb`` and ``.gz``."""
     packing = path.suffix if path.suffix.lower() in PACKINGS else ""
     inner = Path(path.name.removesuffix(packing)) if packing else path
     return inner.stem, inner.suffix, packing
 
 
 def format_of(path: Path) -> str:
-    """Return the format that the name of a file tells, packed or not; empty if unknown."""
+    """Return the format of a file from its name without compression suffix. Empty if unknown."""
     return SUFFIXES.get(split_name(path)[1].lower(), "")
 
 
 def suffix_of(source: Path) -> str:
-    """Suffix of results that are written in the format of their input, PDB if that is unknown."""
+    """Return the suffix of results in the format of the input, PDB if unknown."""
     return ".cif" if format_of(source) == "mmCIF" else ".pdb"
 
 
 @part("reading")
 def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
-    """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides."""
+    """Parse a PDB or mmCIF file, optionally compressed. The content determines the format."""
     source = "standard input" if path == STANDARD_INPUT else str(path)
     try:
-        source.encode()  # To tables and structures: names of files are bytes of any kind.
+        source.encode()  # Tables and structures contain the name as UTF-8.
     except UnicodeEncodeError:
         raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file") from None
     overlooked: list[Repair] = []
@@ -112,8 +112,8 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             _refuse_cut_pdb(text, source)
             text, long_names = _correct_pdb(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
-            # gemmi takes a short last line without an end for an incomplete one.
-            # Split at TER: gemmi would join residues of two chains that share id, number and name.
+            # The newline: gemmi treats a short last line without it as incomplete.
+            # The split at TER: gemmi would join residues of two chains with equal id, number and name.
             structure = gemmi.read_pdb_string(f"{text}\n", split_chain_on_ter=True)
             for residue, chain in ((r, c) for m in structure for c in m for r in c) if long_names else ():
                 place = residue.name, chain.name.strip(), str(residue.seqid).strip()
@@ -130,7 +130,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
 def _normalise(
     structure: gemmi.Structure, source: str, overlooked: list[Repair], ends: bool, records: str
 ) -> tuple[gemmi.Structure, list[Repair], bool, str]:
-    """Number atoms, join what is one residue, and tell ions, chains and copies apart."""
+    """Number atoms, name ions, join parts of residues, and separate chains, caps and molecule copies."""
     number_atoms(structure)
     name_ions(structure)
     join_residues(structure)
@@ -161,7 +161,7 @@ def _read_text(path: Path, source: str) -> str:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"dataBlocks" in data[:_HEAD]:
         return foreign.text_of_binary(data, source)
-    # Editors of Windows write UTF-16, in which one of two bytes of each letter is 0.
+    # Windows editors write UTF-16, in which one of the two bytes of each ASCII letter is 0.
     for mark, start, encoding in (codecs.BOM_UTF16_LE, 1, "utf-16-le"), (codecs.BOM_UTF16_BE, 0, "utf-16-be"):
         if data.startswith(mark) or (len(data) > _HEAD and not any(data[start:_HEAD:2])):
             data = data.decode(encoding, errors="replace").removeprefix("\ufeff").encode()
@@ -173,7 +173,7 @@ def _read_text(path: Path, source: str) -> str:
 
 
 def _refuse_many(data: bytes, source: str) -> None:
-    """Refuse too many lines or atoms of a model before they are parsed, which takes much memory."""
+    """Refuse too many lines or too many atoms per model before parsing, which needs much memory."""
     n_lines = max(data.count(b"\n"), data.count(b"\r"))
     if n_lines > MAX_LINES:
         raise StructureError(
@@ -188,7 +188,7 @@ def _refuse_many(data: bytes, source: str) -> None:
     n, model, column, in_loop = 0, b"", 0, False
     for line in io.BytesIO(data):
         if line.startswith(b"_atom_site."):
-            # Columns are counted from the last: what is quoted may have blanks.
+            # Columns are counted from the last one, because quoted values may contain blanks.
             column = -1 if line.strip() == b"_atom_site.pdbx_PDB_model_num" else column - bool(column)
             in_loop = True
         elif line.startswith((b"MODEL", b"END", b"data_", b"loop_", b"_", b"#")):
@@ -201,22 +201,22 @@ def _refuse_many(data: bytes, source: str) -> None:
 
 
 _FEW_LINES, _SHORTEST, _LONGEST = 1_000_000, 8, 1_000_000
-"""Lines up to which empty ones are read; mean bytes of more; most characters of one."""
+"""Number of lines above which the mean length is checked, smallest mean length, longest line, in bytes."""
 _BYTES = MAX_MEGABYTES << 20
 _HEAD = 400
-"""Bytes within which a BinaryCIF file, a map of MessagePack, names its program, version and blocks."""
+"""Number of first bytes that contain the keys of a BinaryCIF file, which is a MessagePack map."""
 _PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
     (b"\x1f\x8b", "gzip", gzip.open),
     (b"BZh", "bzip2", bz2.open),
     (b"\xfd7zXZ\0", "xz", lzma.open),
     (b"\x28\xb5\x2f\xfd", "zstd", zstandard.open),
 )
-"""First bytes of packed files, and what opens them."""
+"""First bytes of compressed files, name of the compression, and function that opens them."""
 
 
 @lru_cache(maxsize=1)
 def _standard_input(stream: BinaryIO) -> bytes:
-    """Read standard input, which can be read only once, for every model or comparison that needs it."""
+    """Read standard input. The cache is needed because it can be read only once."""
     return stream.read(_BYTES + 1)
 
 
@@ -227,11 +227,11 @@ def _bytes(path: Path) -> bytes:
 
 
 _DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
-"""What the caller has opened for us, as a shell does for ``<(zcat x.pdb.gz)``."""
+"""Paths of open file descriptors, as a shell passes for ``<(zcat x.pdb.gz)``."""
 
 
 def _is_cif(text: str) -> bool:
-    """Whether the first line that is no comment opens a data block, whatever the file's name."""
+    """Return whether the first line that is not a comment opens a data block."""
     for line in text.splitlines():
         words = line.split(maxsplit=1)
         if words and not words[0].startswith("#"):
@@ -248,7 +248,7 @@ def _blocks_with_atoms(document: gemmi.cif.Document, source: str) -> list[gemmi.
 
 
 def _add_columns(block: gemmi.cif.Block, source: str) -> None:
-    """Add columns without which gemmi reads no atoms, where their values are clear."""
+    """Add missing columns that gemmi requires, if their values are unambiguous."""
     column = block.find_loop("_atom_site.Cartn_x")
     if not column:
         return
@@ -261,7 +261,7 @@ def _add_columns(block: gemmi.cif.Block, source: str) -> None:
             loop.add_columns([f"_atom_site.{tag}"], ".")
     for row in block.find("_atom_site.", ["B_iso_or_equiv"]):
         if row[0] in (".", "?"):
-            row[0] = "nan"  # gemmi reads 20 of it.
+            row[0] = "nan"  # gemmi would read 20.
     if "_atom_site.label_asym_id" not in tags and "_atom_site.auth_asym_id" in tags:
         for row in block.find("_atom_site.", ["label_asym_id", "auth_asym_id"]):
             row[0] = row[1]
@@ -271,9 +271,9 @@ def _add_columns(block: gemmi.cif.Block, source: str) -> None:
 
 
 def _is_complete_cif(text: str, block: gemmi.cif.Block, source: str) -> bool:
-    """Whether a file ends with the mark of the archive or with the last residue of a sequence.
+    """Return whether an mmCIF file ends with the ``#`` of the PDB or with the last residue of a sequence.
 
-    The grammar requires no mark. A file without it is refused if chains that it lists have no atoms.
+    The grammar does not require a ``#``. A file without it is refused if a listed chain has no atoms.
     """
     lines = text.rstrip().splitlines() or [""]
     if lines[-1].strip() == "#" or not any(line.strip() == "#" for line in lines):
@@ -293,7 +293,7 @@ def _is_complete_cif(text: str, block: gemmi.cif.Block, source: str) -> bool:
 
 
 def _refuse_cut_pdb(text: str, source: str) -> None:
-    """Refuse a file that ends within an atom record, or after one where a header promises more."""
+    """Refuse a file that ends within an atom record, or with a full one if it has a header."""
     lines = text.rstrip("\n").splitlines() or [""]
     last, before = lines[-1], lines[-2] if len(lines) > 1 else ""
     in_record_name = bool(last) and any(record.startswith(last) for record in _RECORDS)
@@ -309,7 +309,7 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
 
 
 def _ascii(text: str, source: str, used: slice) -> str:
-    """Put question marks for other characters, which gemmi cuts and terminals obey; not in columns used."""
+    """Replace non-ASCII and control characters by question marks. Refuse them in the columns used."""
     if not _STRANGE.search(text):
         return text
     for number, line in enumerate(text.split("\n"), 1):
@@ -326,7 +326,7 @@ _STRANGE = re.compile(r"[^\t\n -~]")
 def _correct_pdb(
     text: str, source: str, overlooked: list[Repair]
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
-    """Check the columns of a PDB file that gemmi reads; correct what is clear; and long names."""
+    """Check and correct the columns of a PDB file. Return the text and residue names of four letters."""
     lines = text.split("\n")
     if indented := remove_indents(lines):
         overlooked.append(Repair(Kind.INDENTED, {"count": indented}))
@@ -346,7 +346,7 @@ def _correct_pdb(
         elif record.startswith("ENDMDL"):
             in_model = False
         if record.startswith(("ANISOU", "SIGATM", "SIGUIJ")):
-            # Unused records: their order is no reason to refuse a file.
+            # These records are unused, and gemmi would refuse some orders of them.
             lines[i] = ""
         if not is_atom(line):
             lines[i] = "" if record.startswith("ATOM") else lines[i]
@@ -363,7 +363,7 @@ def _correct_pdb(
         if not _CHARGE.fullmatch(line[78:80].strip()):
             line = line[:78].rstrip()
         if not (line[54:60].strip() and line[60:66].strip()):
-            # gemmi reads 0 of what is not there.
+            # gemmi would read 0 from empty columns.
             occupancy, b_factor = line[54:60].strip() or "1.00", line[60:66].strip() or "nan"
             line = f"{line[:54]:<54}{occupancy:>6}{b_factor:>6}{line[66:]}"
         lines[i] = line
@@ -377,13 +377,11 @@ def _correct_pdb(
 
 
 def _shorten_names(lines: list[str]) -> dict[tuple[str, str, str], str]:
-    """Put residue names of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
+    """Shorten residue names in columns 18 to 21 to three letters. gemmi reads column 21 as chain id.
 
-    Returned are those that are no names of amino acids or caps, by place.
-
-    NASN of Amber, LYSH of GROMACS, GLUP of CHARMM. The letter in column 21 is the first of a chain id if
-    column 22 has one, too, no residue before or after it in the chain is without it, and some residue with
-    that id is of a polymer, or none of the chain with the second letter alone.
+    Examples: NASN of Amber, LYSH of GROMACS, GLUP of CHARMM. Return names of other residues than amino
+    acids and caps, by place. Column 21 belongs to a chain id if column 22 has a letter, all residues of the
+    run have a letter in column 21, and a polymer has this id, or no polymer the id of column 22 alone.
     """
     places = [(i, line[17:27]) for i, line in enumerate(lines) if line[:6].upper() in ("ATOM  ", "HETATM")]
     long_names: dict[tuple[str, str, str], str] = {}
@@ -414,7 +412,7 @@ def _shorten_names(lines: list[str]) -> dict[tuple[str, str, str], str]:
 
 
 def _follows(before: str, number: str) -> bool:
-    """Whether two residue numbers are those of one residue, or of one and the next."""
+    """Return whether two residue numbers are equal or consecutive."""
     try:
         return int(number) - int(before) in (0, 1)
     except ValueError:
@@ -423,7 +421,7 @@ def _follows(before: str, number: str) -> bool:
 
 _CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
 _UPPER = ((0, 6), (12, 16), (17, 20))
-"""Columns of record, atom and residue names; chain ids, altlocs and insertion codes may be lower case."""
+"""Columns of record, atom and residue names, which are converted to upper case."""
 
 
 def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
@@ -447,24 +445,24 @@ def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
 
 
 def number_atoms(structure: gemmi.Structure) -> None:
-    """Number the atoms of each model from 1 in the order of the file, as mmCIF; those made later have 0."""
+    """Number the atoms of each model from 1 in the order of the file. Atoms that are built later have 0."""
     for model in structure:
         atoms = [place.atom for place in model.all()]
         serials = {atom.serial for atom in atoms}
         if structure.input_format == gemmi.CoorFormat.Mmcif and len(serials) == len(atoms):
             atoms.sort(key=lambda atom: atom.serial)
         for place, atom in enumerate(atoms, 1):
-            # What gemmi leaves to those who use it; exact up to 16 million.
+            # A field for users of gemmi, exact up to 16 million.
             atom.fraction = place
 
 
 def places_in_file(atoms: Iterable[gemmi.Atom]) -> list[int]:
-    """Place of each atom in its model of the file, from 0; -1 of an atom that was made."""
+    """Return the index of each atom in its model of the file, from 0, or -1 for built atoms."""
     return [round(atom.fraction) - 1 for atom in atoms]
 
 
 def in_file_order(model: gemmi.Model) -> list[tuple[str, gemmi.Atom]]:
-    """Names and atoms of a model in the order of the file; names are ``A/17/GLU/CG``, ``A/17/GLU/CG/B``."""
+    """Return names (``A/17/GLU/CG``, ``A/17/GLU/CG/B``) and atoms of a model in the order of the file."""
     named_atoms = []
     for p in model.all():
         altloc = [p.atom.altloc] if p.atom.has_altloc() else []
@@ -474,7 +472,7 @@ def in_file_order(model: gemmi.Model) -> list[tuple[str, gemmi.Atom]]:
 
 
 def _fill_missing(structure: gemmi.Structure) -> None:
-    """Correct what others would fail at: no names, numbers or insertion codes (NUL), odd elements."""
+    """Fill missing names, residue numbers and insertion codes (NUL), and replace unknown elements by X."""
     for model in structure:
         for chain in model:
             last = max((r.seqid.num or 0 for r in chain), default=0)

@@ -1,4 +1,4 @@
-"""Atoms of other libraries' objects, and of files that only they read, as a gemmi Structure."""
+"""Conversion of objects of other libraries, and of files that only these read, to gemmi structures."""
 
 import io
 import warnings
@@ -23,19 +23,19 @@ _POSITIONS = {
     ".prmtop": (".inpcrd", ".rst7", ".crd"), ".parm7": (".inpcrd", ".rst7", ".crd"),
     ".psf": (".crd", ".cor", ".pdb", ".coor"),
 }  # fmt: skip
-"""Suffixes of files of positions, by those of the topologies of Amber and CHARMM that they lie with."""
+"""Suffixes of coordinate files by the suffix of an Amber or CHARMM topology."""
 _ALONE = {".gro": "GRO", ".pqr": "PQR", ".crd": "CRD", ".cor": "CRD"}
-"""Files of one structure, and their format in MDAnalysis."""
+"""Files that contain topology and coordinates, and their format in MDAnalysis."""
 _TOPOLOGY = {suffix: topology for topology in (".parm7", ".prmtop") for suffix in (".inpcrd", ".rst7")}
 SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
-"""Suffixes of what :func:`by_mdanalysis` reads."""
+"""Suffixes of the files that :func:`by_mdanalysis` reads."""
 
 _LIGHTEST = 0.9
-"""amu: what a topology has lighter than this is no atom but a lone pair, a Drude particle or a site."""
+"""amu. Lighter particles of a topology are lone pairs, Drude particles or virtual sites."""
 
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
-    """Read a file of GROMACS (GRO), PQR, or of Amber or CHARMM with that of the same name beside it."""
+    """Read a GRO, PQR, Amber or CHARMM file. Amber and CHARMM need topology and coordinates of one stem."""
     import MDAnalysis
 
     suffix = path.suffix.lower()
@@ -45,7 +45,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
     elif suffix in _POSITIONS:
         files = [path, _companion_file(path, _POSITIONS[suffix], "coordinate")]
     else:
-        # A .crd file beside a topology of Amber is Amber's; that of CHARMM tells atoms from Drude particles.
+        # A .crd file with an Amber topology is Amber's. A CHARMM topology identifies Drude particles.
         topologies = [p for end in _POSITIONS if suffix == ".crd" and (p := path.with_suffix(end)).exists()]
         files = [*topologies[:1], path]
     formats = {"topology_format": _ALONE[suffix]} if len(files) == 1 else {}
@@ -58,13 +58,13 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
                 return _read_charmm_prmtop(*files)
             atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
             return _from_mdanalysis(atoms, light=len(files) > 1)
-    except Exception as error:  # Its readers raise of all kinds.
+    except Exception as error:  # MDAnalysis raises many types.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise StructureError(f"{path}: cannot be read ({reason}); convert it to PDB or mmCIF") from None
 
 
 def _is_charmm_prmtop(topology: Path) -> bool:
-    """Whether a topology in the format of Amber is of CHARMM's force field: its title is a CTITLE."""
+    """Return whether an Amber topology has CHARMM's force field, marked by a CTITLE flag."""
     with regular(topology).open(encoding="utf-8", errors="replace") as file:
         return any(line.startswith("%FLAG CTITLE") for line in islice(file, _TITLE_LINES))
 
@@ -73,7 +73,7 @@ _TITLE_LINES = 10
 
 
 def _read_charmm_prmtop(topology: Path, positions: Path) -> gemmi.Structure:
-    """Read such a topology by OpenMM: MDAnalysis finds no charges in it."""
+    """Read a CHARMM force field in Amber format with OpenMM, because MDAnalysis finds no charges."""
     prmtop = app.AmberPrmtopFile(str(topology))
     return _from_openmm(prmtop.topology, app.AmberInpcrdFile(str(positions)).positions)
 
@@ -89,20 +89,20 @@ def text_of_binary(data: bytes, source: str) -> str:
                 output.set_mmcif_category(
                     f"_{category}.", {item: _values(column) for item, column in columns.items()}
                 )
-    except Exception as error:  # Its decoders raise of all kinds.
+    except Exception as error:  # biotite raises many types.
         raise StructureError(f"{source}: not a whole BinaryCIF file ({error}); download it again") from None
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
 def _values(column: Any) -> list[Any]:
-    """Values of a column of BinaryCIF as gemmi takes them: texts, False for ``.`` and None for ``?``."""
+    """Return a BinaryCIF column in gemmi's convention: strings, False for ``.`` and None for ``?``."""
     texts = column.data.array.astype(str).tolist()
     marks = [0] * len(texts) if column.mask is None else column.mask.array.tolist()
     return [(text, False, None)[mark] for text, mark in zip(texts, marks, strict=True)]
 
 
 def _companion_file(path: Path, suffixes: Iterable[str], kind: str) -> Path:
-    """File of the same name with one of these suffixes."""
+    """Return the file with the same stem and one of these suffixes."""
     candidates = [path.with_suffix(suffix) for suffix in suffixes]
     companion = next((candidate for candidate in candidates if candidate.is_file()), None)
     if companion is None:
@@ -112,12 +112,12 @@ def _companion_file(path: Path, suffixes: Iterable[str], kind: str) -> Path:
 
 
 def as_gemmi(source: Any) -> gemmi.Structure:
-    """Atoms of an object of another library, as :func:`protochain.as_structure` takes it."""
+    """Convert an object of another library that :func:`protochain.as_structure` accepts."""
     if isinstance(source, gemmi.Structure):
         return source.clone()
     if isinstance(source, tuple | list) and len(source) == 2 and isinstance(source[0], app.Topology):
         return _from_openmm(*source)
-    # Recognised by attributes: a test of the type would have to import the library.
+    # Recognise objects by attributes, because isinstance would import the library.
     if hasattr(source, "xyz") and hasattr(source, "topology"):
         return _from_openmm(source.topology.to_openmm(), np.asarray(source.xyz[0], dtype=float))
     if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
@@ -152,7 +152,7 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
 
 
 def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
-    """Convert atoms; with light, those lighter than hydrogen are marked as pseudo-atoms."""
+    """Convert atoms. With ``light``, particles lighter than hydrogen are marked as pseudo-atoms."""
     guess = library("MDAnalysis.guesser.default_guesser").DefaultGuesser(None).guess_atom_element
     model = gemmi.Model(1)
     has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
@@ -182,7 +182,7 @@ def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
 
 
 _NO_SEGMENT = "SYSTEM"
-"""What MDAnalysis calls that of a file without any."""
+"""Segment name that MDAnalysis uses for files without segments."""
 
 
 def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:
@@ -196,7 +196,7 @@ def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.
 
 
 def _structure(model: gemmi.Model, cell: Sequence[float] | None = None) -> gemmi.Structure:
-    """Return a structure of a model, with the lengths (angstrom) and angles (degrees) of its box."""
+    """Return a structure with one model and the lengths (angstrom) and angles (degrees) of its box."""
     structure = gemmi.Structure()
     structure.add_model(model)
     if cell is not None and all(cell):

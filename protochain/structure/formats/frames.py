@@ -1,7 +1,7 @@
-"""Frames of ensembles and trajectories, read one after the other: memory does not grow with their number.
+"""Frames of ensembles and trajectories, read one by one, so that memory does not grow with their number.
 
 MDAnalysis reads XTC, TRR, DCD and NetCDF, gemmi the models of PDB and mmCIF files, numpy NPZ. A frame that
-cannot be read has the reason in its place, and stops no other.
+cannot be read contains the reason, and the following frames are still read.
 """
 
 import math
@@ -36,27 +36,25 @@ ALL = "all"
 class Frame(Value):
     """One frame of an ensemble."""
 
-    index: int  # Its place among all frames, from 0.
-    x: Floats | None  # (n, 3) nm: Positions of the atoms of the file; None if it cannot be read.
-    # (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
-    box: Floats | None = None
+    index: int  # Index among all frames of the source, from 0.
+    x: Floats | None  # (n, 3) nm: Positions of the atoms of the file. None if unreadable.
+    box: Floats | None = None  # (3, 3) nm: Vectors of the periodic box as rows. None without a box.
     time: float | None = None  # ps.
-    error: str = ""  # Why it cannot be read.
+    error: str = ""  # Reason why the frame is unreadable.
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of an ensemble, or some of them; may be iterated more than once."""
+    """Frames of an ensemble, or a subset. They can be iterated more than once."""
 
-    source: str  # What they are read from, for messages.
-    count: int  # Of all frames of the source.
+    source: str  # Name of the source, for messages.
+    count: int  # Number of all frames of the source.
     n_atoms: int
-    # Takes places of frames, and yields each as it is taken.
-    read: Callable[[Iterable[int]], Iterator[Frame]]
-    chosen: Sequence[int]  # Places of those that are wanted.
-    names: tuple[str, ...] = ()  # Of atoms, as ``Origin`` has them; empty if the source does not say.
-    path: Path | None = None  # File from which other processes can read them.
-    # Of a protein of which a frame has N, CA, C and O of each residue alone; X if the file does not tell it.
+    read: Callable[[Iterable[int]], Iterator[Frame]]  # Frame indices -> frames, lazily.
+    chosen: Sequence[int]  # Indices of the selected frames.
+    names: tuple[str, ...] = ()  # Atom names in the format of ``Origin``. Empty if unknown.
+    path: Path | None = None  # File from which other processes can read the frames.
+    # Sequence of a protein whose frames have only N, CA, C and O of each residue. X if unknown.
     sequence: str = ""
 
     def __len__(self) -> int:
@@ -66,7 +64,7 @@ class Frames:
         return self.read(self.chosen)
 
     def without_first(self, n: int) -> "Frames":
-        """Leave out the first n of the frames that are wanted."""
+        """Skip the first n selected frames."""
         return self._with(self.chosen[n:])
 
     def _with(self, chosen: Sequence[int]) -> "Frames":
@@ -74,7 +72,7 @@ class Frames:
         return Frames(**fields, chosen=chosen)
 
     def select(self, spec: Any) -> "Frames":
-        """Choose frames: ``all``, a number, ``START:STOP:STEP``, as Python has them, or a list of these."""
+        """Select frames by ``all``, a number, ``START:STOP:STEP`` as in Python, or a list of these."""
         words = spec.split(",") if isinstance(spec, str) else spec
         parts = words if isinstance(words, list | tuple) else [words]
         ranges = [range(self.count)[frame_slice(part, "frames")] for part in parts]
@@ -87,7 +85,7 @@ class Frames:
 
 
 class Reading:
-    """Frames read in any order, from a file that stays open."""
+    """Random access to frames of a file that stays open."""
 
     def __init__(self, frames: Frames) -> None:
         self._requests: deque[int] = deque()
@@ -100,7 +98,7 @@ class Reading:
 
 
 def frame_slice(spec: Any, name: str) -> slice:
-    """Read a selection of frames, as :meth:`Frames.select` takes it."""
+    """Parse one part of a selection of :meth:`Frames.select`."""
     if spec is None or spec == ALL or isinstance(spec, slice):
         return spec if isinstance(spec, slice) else slice(None)
     if isinstance(spec, range):
@@ -122,7 +120,7 @@ _SELECTION = re.compile(
 
 
 def trajectories(folder: Path) -> list[Path]:
-    """Trajectories below a folder, by their names; ``.npz`` may be anything."""
+    """Return trajectories below a folder, by suffix, except ``.npz``, which has other uses."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in {*_READERS} - {".npz"})
 
 
@@ -180,19 +178,19 @@ def _from_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> F
 
 
 def _copy_nm(x: Any, scale: float = 1.0) -> Floats:
-    """Copy of positions in nm: readers use their memory again."""
+    """Copy positions in nm, because readers reuse their memory."""
     return np.array(x, dtype=float) / scale
 
 
 def _box(vectors: Any) -> Floats | None:
-    """Vectors of a box, nm; None where they are zeros or of 1 angstrom, as files without a box have them."""
+    """Return box vectors, nm, or None for zeros or 1 angstrom, which mean that a file has no box."""
     box = np.array(vectors, dtype=float).reshape(3, 3)
     is_box = np.isfinite(box).all() and np.linalg.norm(box, axis=1).min() > _THINNEST
     return box if is_box and abs(np.linalg.det(box)) > _THINNEST**3 else None
 
 
 _THINNEST = 0.3
-"""nm. No molecule has a cell as thin as this."""
+"""nm. Lower limit of the width of a periodic box."""
 
 
 def _from_universe(atoms: Any) -> Frames:
@@ -211,7 +209,7 @@ def _step_box(step: Any) -> Floats | None:
 
 
 def _xdr(path: Path, kind: "_Kind") -> Frames:
-    """XTC and TRR. MDAnalysis's own readers would write a file of offsets beside that of the user."""
+    """Open XTC or TRR. MDAnalysis's own readers would write an offset file into the user's folder."""
     from MDAnalysis.lib.formats import libmdaxdr
 
     begins, damaged, n_atoms = _xdr_frames(path, kind)
@@ -238,7 +236,7 @@ def _xdr(path: Path, kind: "_Kind") -> Frames:
 
 
 def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
-    """Bytes at which frames begin, what is wrong with those that would crash the library, atoms."""
+    """Return offsets of frames, errors of frames that would crash the library, and the number of atoms."""
     with path.open("rb") as raw, _reading_errors(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
         size, begins, damaged = len(data), list[int](), dict[int, str]()
         first = bytes(data[: kind.head])
@@ -256,7 +254,7 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
                 damaged[len(begins) - 1] = "the file ends within it"
             after = at + end
             if not end or after > size or (after < size and bytes(data[after : after + kind.same]) != head):
-                # Where the next one begins; a long step between may hold several.
+                # Search for the next frame.
                 if end > 0 and after < size:
                     damaged[len(begins) - 1] = "it is damaged"
                 after = data.find(head, at + 8)
@@ -266,7 +264,7 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
 
 
 def xtc_end(head: bytes, n_atoms: int) -> int:
-    """Bytes of a frame of XTC by its head; 0 if that is none."""
+    """Return the length in bytes of an XTC frame from its head, or 0 if the head is invalid."""
     if len(head) < 8 or struct.unpack(">2i", head[:8]) != (_XTC_MAGIC, n_atoms):
         return 0
     if n_atoms <= _XTC_FEW:
@@ -280,8 +278,8 @@ def xtc_end(head: bytes, n_atoms: int) -> int:
 
 
 def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
-    """Whether a frame packs as many atoms as it should in its bytes; the library unpacks without a look."""
-    # Each place has an atom in full and a bit, which announces a new number of near atoms and of their bits.
+    """Return whether a compressed frame has all atoms within its bytes, which the library does not check."""
+    # Each group is a full atom and one bit, which announces a new number of near atoms and of their bits.
     if n_atoms <= _XTC_FEW:
         return True
     file.seek(begin)
@@ -302,14 +300,14 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
 
 
 XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
-"""Bytes of a frame before compressed coordinates, and before others; atoms up to which these are; magic."""
+"""Bytes before compressed and before raw coordinates, largest number of atoms with raw coordinates, magic."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
-"""Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
-packed apart."""
+"""Largest span of coordinates in units of the precision, bits of small differences, and largest span for
+which the axes are packed together."""
 
 
 def _trr_end(head: bytes, n_atoms: int) -> int:
-    """Bytes of a frame of TRR by its head; 0 if that is none."""
+    """Return the length in bytes of a TRR frame from its head, or 0 if the head is invalid."""
     if len(head) < _TRR_HEAD:
         return 0
     ir, e, box, virial, pressure, top, sym, x, v, f, n, *_ = struct.unpack(">13i", head[24:76])
@@ -330,13 +328,13 @@ _TRR_HEAD = 84
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of file of frames in XDR."""
+    """An XDR trajectory format."""
 
     name: str
-    magic: bytes  # What a frame begins with.
-    same: int  # Bytes at the beginning that all frames share.
-    atoms: int  # Where the number of atoms is.
-    head: int  # Bytes that ``end`` takes.
+    magic: bytes  # First bytes of a frame.
+    same: int  # Number of first bytes that all frames share.
+    atoms: int  # Offset of the number of atoms.
+    head: int  # Number of bytes for ``end``.
     end: Callable[[bytes, int], int]
     is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
 
@@ -346,13 +344,13 @@ _TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, 
 
 
 def _mdanalysis(path: Path, kind: str) -> Frames:
-    """DCD and NetCDF, by the readers of MDAnalysis."""
+    """Open DCD or NetCDF with the readers of MDAnalysis."""
     import MDAnalysis.coordinates
 
     make = getattr(getattr(MDAnalysis.coordinates, kind), f"{_CLASSES[kind]}Reader")
     with path.open("rb") as raw:
         head = raw.read(8)
-    # Of what is none, the readers complain once more when they are done with.
+    # Check first: for other files the readers write a second warning when they are deleted.
     if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
         raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
 
@@ -361,13 +359,13 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with _reading_errors(path):
-                if kind == "DCD":  # Of what it cannot open, the reader would complain once more at its end.
+                if kind == "DCD":  # If opening fails, the reader would warn again when it is deleted.
                     MDAnalysis.coordinates.DCD.DCDFile(str(path)).close()
                 file = make(str(path))
         try:
             yield file
         finally:
-            with suppress(Exception):  # scipy's NetCDF complains of views of its memory.
+            with suppress(Exception):  # scipy's NetCDF warns about views of its memory.
                 file.close()
 
     with open_reader() as file:
@@ -399,7 +397,7 @@ _FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
 
 
 def _dcd_frame_count(path: Path) -> int:
-    """Number of frames that the header of a DCD file states; the file may be cut."""
+    """Return the number of frames in a DCD header. A truncated file has fewer."""
     with path.open("rb") as file:
         head = file.read(12)
     order = "little" if head[:4] == b"T\0\0\0" else "big"
@@ -412,7 +410,7 @@ _MAX_FRAMES = 1 << 31
 
 @contextmanager
 def _reading_errors(path: Path) -> Iterator[None]:
-    """Name the file where a library cannot read it."""
+    """Convert errors of a library to an error that names the file."""
     try:
         yield
     except ProtochainError:
@@ -423,7 +421,7 @@ def _reading_errors(path: Path) -> Iterator[None]:
 
 
 def _models(path: Path) -> Frames:
-    """Models of a PDB or mmCIF file."""
+    """Open the models of a PDB or mmCIF file as frames."""
     parsed = parse(path)[0]
     cell = parsed.cell
     box = _box(np.array(cell.orth.mat.tolist()).T / ANGSTROM_PER_NM) if cell.is_crystal() else None
@@ -445,7 +443,7 @@ def _models(path: Path) -> Frames:
 
 
 def _npz(path: Path) -> Frames:
-    """Arrays of numpy; the positions are read frame by frame from the archive."""
+    """Open a numpy archive, whose positions are read frame by frame."""
     try:
         with np.load(path, allow_pickle=False) as file:
             shapes = check_sizes(file, packed=True)
@@ -491,7 +489,7 @@ _UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTRO
 
 
 def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
-    """Rows of arrays of an archive, one after the other."""
+    """Yield rows of the arrays of an archive, one by one."""
     with ExitStack() as stack:
         rows = [
             stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
@@ -515,13 +513,13 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
 
 _N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
 """nm: N and C in the frame of a residue, CA at its origin (Jumper et al., Nature 596:583, 2021, supplement
-1.8.4); residues differ by 0.0002."""
+1.8.4). Residues differ by 0.0002."""
 _C_O = 0.123
-"""nm, length of C=O."""
+"""nm. Length of C=O."""
 
 
 def backbones(x: Floats, turn: Floats) -> Floats:
-    """N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, and turned by (n, 3, 3)."""
+    """Return N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, rotated by turn (n, 3, 3)."""
     n, c = x + turn @ _N, x + turn @ _C
     away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))
     return np.stack([n, x, c, c + _C_O * _unit(away)], axis=1).reshape(-1, 3)

@@ -1,7 +1,7 @@
-"""What a file says beside its atoms that gemmi does not carry: authors, terms, confidence, components.
+"""Metadata of a file that gemmi does not copy: authors, terms of use, confidence, components.
 
-From file to file these are categories of mmCIF in the header; records of a PDB file become the categories
-that hold the same. Rows about residues and molecules that are no longer there are left out.
+The header of a structure is mmCIF text with these categories. PDB records are converted to the equivalent
+categories. Rows about residues and molecules that are absent from the structure are skipped.
 """
 
 import textwrap
@@ -14,24 +14,24 @@ from protochain.structure.formats.tie_records import CATEGORY, of_remarks
 from protochain.structure.molecule.header import Label
 
 Rows = list[dict[str, str]]
-"""Rows of a category; values as the file has them, with their quotes."""
+"""Rows of a category. Values are raw, with quotes."""
 
 _MODIFIED = "_pdbx_struct_mod_residue."
-"""gemmi reads and writes it, but not by itself."""
+"""Modified residues, which gemmi transfers as ``Structure.mod_residues``."""
 _ALWAYS = (
     "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
     "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
     tables.CATEGORY,
 )  # fmt: skip
 _OF_MODELS = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
-"""Of predicted models; of an experiment it would be said of positions that are not its own."""
+"""Categories copied for predicted models only. For experiments they describe the original positions."""
 _COMPONENT = {
     "_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id",
     tables.CATEGORY: "comp_id",
 }  # fmt: skip
 _NO_VALUE = (".", "?")
 _TERMS = 1
-"""Number of the remark in which PDB files of AlphaFold's database, among others, state their terms."""
+"""Number of the PDB remark with terms of use, as in the AlphaFold database."""
 _REMARK_WIDTH, _NAME_WIDTH, _TEXT_WIDTH = 68, 55, 60
 _BEFORE_NAMES = ("HELIX", "SHEET", "SSBOND", "LINK", "CISPEP", "CRYST1", "ORIGX", "SCALE", "MTRIX", "MODEL")
 _KINDS = {
@@ -42,19 +42,19 @@ _KINDS = {
 }  # fmt: skip
 _READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
 _PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
-"""B factors of ESMFold and OpenFold, which write PARENT records. Models of CASP have PFRMAT records, too."""
+"""B factors of ESMFold and OpenFold, which write PARENT records. CASP models also have PFRMAT records."""
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
 def cif_header(block: gemmi.cif.Block) -> str:
-    """Return the categories of a file that go on to the files written of it, as mmCIF text."""
+    """Return the mmCIF categories that are copied to written files, as mmCIF text."""
     names = block.get_mmcif_category_names()
     prefixes = _ALWAYS + (_OF_MODELS if any(name.startswith("_ma_") for name in names) else ())
     return _text({name: _rows(block, name) for name in names if name.lower().startswith(prefixes)})
 
 
 def pdb_header(text: str, structure: gemmi.Structure) -> str:
-    """Return the records of a PDB file that go on to the files written of it, as mmCIF text."""
+    """Return the PDB records that are copied to written files, as mmCIF text."""
     lines: dict[str, list[str]] = {}
     for line in text.splitlines():
         if line.startswith(("ATOM", "HETATM", "MODEL")):
@@ -98,7 +98,7 @@ def pdb_header(text: str, structure: gemmi.Structure) -> str:
 def cif_rows(
     header: str, out: gemmi.Structure, label: Mapping[Label, Label], ligands: Mapping[str, Rows]
 ) -> dict[str, Rows]:
-    """Return the categories of a header, about what a structure has, under the names that it has there."""
+    """Return the categories of a header with the present names, without rows about absent molecules."""
     names = {residue.name: residue for model in out for chain in model for residue in chain}
     renamer = _RowRenamer(out, label, names)
     categories = _merge(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
@@ -114,7 +114,7 @@ def cif_rows(
 
 
 def _merge(ligands: Mapping[str, Rows], categories: Mapping[str, Rows]) -> dict[str, Rows]:
-    """Categories with the chemistry of ligands in the place of others of the same components."""
+    """Return categories in which the chemistry of ligands replaces other rows of the same components."""
     replaced = {row["comp_id"] for rows in ligands.values() for row in rows}
     result = {
         category: [row for row in rows if row.get("comp_id") not in replaced] if category in ligands else rows
@@ -124,7 +124,7 @@ def _merge(ligands: Mapping[str, Rows], categories: Mapping[str, Rows]) -> dict[
 
 
 def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
-    """Return a header with the tables of a component in the place of others of that component."""
+    """Return a header in which the given tables of a component replace other tables of it."""
     categories = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
     return _text(_merge(ligand, categories))
 
@@ -132,9 +132,9 @@ def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
 def pdb_lines(
     header: str, out: gemmi.Structure, ligands: Mapping[str, Rows], bonded: Collection[str]
 ) -> tuple[list[str], list[str], set[str]]:
-    """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names.
+    """Return PDB records of citation, terms and ligand tables, and HETNAM records of ligand names.
 
-    The third value has the components, of those bonded to others, whose chemistry remarks state.
+    The third value is the set of components in ``bonded`` that have ligand tables in remarks.
     """
     categories = cif_rows(header, out, {}, ligands)
     citation = [
@@ -166,7 +166,7 @@ def pdb_lines(
 
 
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
-    """Order of each bond of components, by component and its atoms in alphabetic order."""
+    """Return bond orders of components, by component and the two atom names in alphabetic order."""
     order_of = {name: order for order, name in _ORDERS.items()}
     stated = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
     rows = _merge(ligands, stated).get("_chem_comp_bond.", [])
@@ -179,14 +179,14 @@ def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str
 
 
 def with_names(head: str, names: Sequence[str]) -> str:
-    """Return the head of a PDB file with the names of its ligands in their place."""
+    """Return the head of a PDB file with the HETNAM records inserted."""
     lines = head.splitlines()
     at = next((k for k, line in enumerate(lines) if line.startswith(_BEFORE_NAMES)), len(lines))
     return "".join(f"{line}\n" for line in (*lines[:at], *names, *lines[at:]))
 
 
 def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
-    """Write categories into a block, in the place of those of the same name."""
+    """Write categories into a block, replacing categories of the same name."""
     for category, rows in categories.items():
         if rows:
             items = dict.fromkeys(item for row in rows for item in row)
@@ -196,7 +196,7 @@ def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
 
 
 class _RowRenamer:
-    """What is in a structure, by the names that the file read has for it."""
+    """Translation of rows from the labels of the input file to the labels of the structure written."""
 
     def __init__(self, out: gemmi.Structure, label: Mapping[Label, Label], names: Collection[str]) -> None:
         self.names, self.entities = names, {entity.name for entity in out.entities}
@@ -214,7 +214,7 @@ class _RowRenamer:
                 self.residue.setdefault((asym, "." if seq is None else f"{seq}"), place)
 
     def rename_row(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
-        """A row under the present names; none if what it tells of is not there."""
+        """Return a row with the present names, or None if its residue or molecule is absent."""
         if category in _COMPONENT:
             return row if _plain(row.get(_COMPONENT[category], "?")) in self.names else None
         row = dict(row)
@@ -247,7 +247,7 @@ class _RowRenamer:
 
 
 def _components(rows: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict[str, str]]:
-    """Rows of ``_chem_comp``: those of the file, those of others from the tables, or by their sugar."""
+    """Yield rows of ``_chem_comp``, from the file, or else with a type from gemmi's tables or the sugar."""
     row_of = {_plain(row["id"]): row for row in rows}
     for name in sorted(names):
         row = row_of.get(name, {})
@@ -256,7 +256,7 @@ def _components(rows: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict
 
 
 def component_type(name: str, residue: gemmi.Residue) -> str:
-    """Return the type of a component, as ``_chem_comp.type`` of the PDB's dictionary has it."""
+    """Return the type of a component, a value of ``_chem_comp.type`` of the PDB's dictionary."""
     if name == "GLY":
         return "peptide linking"
     info = gemmi.find_tabulated_residue(name)
@@ -266,7 +266,7 @@ def component_type(name: str, residue: gemmi.Residue) -> str:
 
 
 def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Iterator[dict[str, str]]:
-    """Bonds of components whose CONECT records give a bond more than once, unless remarks state the bonds."""
+    """Yield bonds of components with repeated CONECT records (bond orders), unless remarks have the bonds."""
     with_tables = tables.known(stated[tables.CATEGORY])
     complete = {_plain(row["comp_id"]) for row in stated["_chem_comp_bond."]}
     at = {
@@ -290,7 +290,7 @@ def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Ite
 
 
 def _journal(lines: Iterable[str]) -> dict[str, Rows]:
-    """Citation of the JRNL records."""
+    """Return the citation in JRNL records."""
     record_lines: dict[str, list[str]] = {}
     for line in lines:
         record_lines.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
@@ -315,11 +315,11 @@ def _journal(lines: Iterable[str]) -> dict[str, Rows]:
 
 
 def _citation_records(categories: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
-    """Records of the primary citation, or the first one."""
+    """Yield names and texts of the JRNL records of the primary citation, or of the first one."""
     rows = sorted(categories.get("_citation.", []), key=lambda row: _plain(row.get("id", "")) != "primary")
     for row in rows[:1]:
         authors = [
-            # J.Doe, as the format has it.
+            # PDB format: J.Doe.
             "".join(reversed(_plain(author["name"]).split(", ", 1)))
             for author in categories.get("_citation_author.", [])
             if author.get("citation_id") == row.get("id") and _has_value(author, "name")
@@ -357,7 +357,7 @@ def _text(categories: Mapping[str, Rows]) -> str:
 
 
 def _join_lines(lines: Iterable[str]) -> str:
-    """Text of the lines of a record; after a hyphen or comma a line needs no space before."""
+    """Join the lines of a record by spaces, but without a space after a hyphen or comma."""
     text: list[str] = []
     for line in lines:
         space = text and not text[-1].endswith(("-", ","))
@@ -366,7 +366,7 @@ def _join_lines(lines: Iterable[str]) -> str:
 
 
 def _quote(value: str) -> str:
-    # A semicolon that begins a line would end a text of several.
+    # A semicolon at the start of a line would end a multi-line text.
     return str(gemmi.cif.quote(value.replace("\n;", "\n ;"))) if value else "?"
 
 

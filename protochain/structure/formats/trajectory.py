@@ -1,4 +1,4 @@
-"""Trajectories in DCD or XTC files, by OpenMM's writers."""
+"""Writing of DCD and XTC trajectories with OpenMM's writers."""
 
 import errno
 import os
@@ -19,14 +19,12 @@ from protochain.structure.molecule.model import Structure
 
 _DCD_COUNT = 8
 """Offset of the number of frames in a DCD file: four bytes, little-endian."""
-
-
 FORMATS = (".dcd", ".xtc")
-"""Suffixes of trajectories that are written."""
+"""Suffixes of trajectories that can be written."""
 
 
 def part_of(path: Path) -> Path:
-    """Return the name of a trajectory until it is complete."""
+    """Return the name of an incomplete trajectory."""
     return path.with_name(f"{path.stem}.part{path.suffix}")
 
 
@@ -37,7 +35,7 @@ def check_trajectory(path: Path) -> None:
 
 
 def _are_complete(path: Path, begin: int, end: int, n_atoms: int) -> bool:
-    """Whether an XTC file's frames from one byte to another are whole: OpenMM's writer tells no failure."""
+    """Return whether XTC frames in a range of bytes are complete. OpenMM's writer does not report errors."""
     with path.open("rb") as file:
         file.seek(begin)
         while begin < end and (length := xtc_end(file.read(XTC_HEAD), n_atoms)):
@@ -46,14 +44,14 @@ def _are_complete(path: Path, begin: int, end: int, n_atoms: int) -> bool:
 
 
 def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
-    """Topology of the other atoms, and their indices."""
+    """Return the topology without hydrogens, and the indices of its atoms."""
     modeller = app.Modeller(structure.topology, structure.positions * unit.nanometer)
     modeller.delete([atom for atom in structure.topology.atoms() if atom.element.symbol == "H"])
     return modeller.topology, np.flatnonzero(structure.atom_element != "H")
 
 
 class TrajectoryFile:
-    """Writer to ``NAME.part.dcd``, renamed at the end, of frames after ``kept`` frames and bytes."""
+    """Writer of ``NAME.part.dcd``, renamed at the end. ``resume_at``: frames and bytes to continue after."""
 
     def __init__(
         self,
@@ -96,11 +94,11 @@ class TrajectoryFile:
             self._writer = app.XTCFile(str(self.part), topology, **settings)
 
     def _existing_file(self) -> Path:
-        """File to continue: under its final name, if the run had ended."""
+        """Return the file to continue, which has its final name if the run had ended."""
         return self.part if self.part.exists() else self.path
 
     def _check(self, topology: Any, n_frames: int, n_bytes: int) -> None:
-        """Refuse what cannot be continued before it is cut."""
+        """Raise an error for a file that cannot be continued, before it is truncated."""
         path = self._existing_file()
         if not path.exists() or path.stat().st_size < n_bytes:
             raise StructureError(f"{path}: has lost frames since its checkpoint; start the run anew")
@@ -137,7 +135,7 @@ class TrajectoryFile:
         self.n_frames += 1
 
     def sync(self) -> tuple[int, int]:
-        """Write all frames to the disk; return their number and the bytes of the file."""
+        """Write all frames to the disk, and return the number of frames and bytes."""
         with writing(self.path):
             if self._file is not None:
                 self._file.flush()
@@ -158,12 +156,12 @@ class TrajectoryFile:
 
     def discard(self) -> None:
         """Close the file and delete it."""
-        with suppress(OSError):  # What a full disk did not take is still in the buffer.
+        with suppress(OSError):  # After a full disk, the buffer still has data.
             self.close()
         self.part.unlink(missing_ok=True)
 
     def finish_at(self, n_frames: int, n_bytes: int) -> None:
-        """Close the file, cut it to so many frames and bytes, and rename it."""
+        """Close the file, truncate it to the given numbers of frames and bytes, and rename it."""
         with suppress(OSError):
             self.close()
         self._cut(n_frames, n_bytes)
