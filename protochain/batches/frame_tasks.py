@@ -27,7 +27,7 @@ from protochain.results.columns import Column, flat, record
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Reading, open_frames
-from protochain.structure.select import sides, sides_named, touching_chains
+from protochain.structure.select import sides, split_sides, touching_chains
 from protochain.validation.findings import MEASURES, Findings
 from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, as_native, score_sides
 from protochain.validation.likeness import LIKENESS, likeness
@@ -185,7 +185,7 @@ class ScoreFrames(Task):
         """Find the sides, and build the energy."""
         from protochain.comparison.deviation import docked
 
-        pairs = [sides_named(structure, self.interface)] if self.interface else touching_chains(structure)
+        pairs = [split_sides(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
             problem = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
             raise ProtochainError(f"{structure.name}: {problem}", Argument("interface"))

@@ -18,7 +18,7 @@ from protochain.relaxation.relax_settings import fixed_options, split
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Frames, open_frames
-from protochain.structure.select import moved_of
+from protochain.structure.select import move_argument
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +111,7 @@ def relax_frames(
     >>> [frame.record["frame"] for frame in pc.relax_frames(s, np.array([s.positions, s.positions]))]
     [0, 1]
     """
-    relaxing, setup = split({**moved_of(top), **options})
+    relaxing, setup = split({**move_argument(top), **options})
     ensemble, chosen = ensemble_of(top, frames, select, setup)
     processes = Processes(workers, threads=setup.threads or 1) if workers else None
     energy = None

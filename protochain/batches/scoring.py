@@ -12,7 +12,7 @@ from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
 from protochain.structure import Structure
 from protochain.structure.formats.confidences import confidence_files, read_scores
-from protochain.structure.select import sides, sides_named, touching_chains
+from protochain.structure.select import sides, split_sides, touching_chains
 from protochain.validation.interface import Interface, as_native, score_sides
 
 Scored = tuple[str, Interface | str]
@@ -42,7 +42,7 @@ class ScoreJob:
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
             structure = setup.load(self.path)
-            pairs = [sides_named(structure, pair_name) for pair_name in self.interfaces] or touching_chains(
+            pairs = [split_sides(structure, pair_name) for pair_name in self.interfaces] or touching_chains(
                 structure
             )
             if not pairs:

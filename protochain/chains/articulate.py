@@ -22,14 +22,18 @@ from protochain.energies import Energy, as_energy
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
-from protochain.structure.select import moved_of
+from protochain.structure.select import move_argument
+<<<<<<< HEAD
 from protochain.structure.select import moving as moving_atoms
+=======
+from protochain.structure.select import moving_mask as moving_atoms
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 
 
 def _as_of(build: Callable[..., Chain], source: Any, arguments: dict[str, Any]) -> Chain:
     """Build the chain of a source. Arguments without a name are those from the chain of the source."""
     chain: Any = getattr(source, "chain", source)
-    brought: dict[str, Any] = moved_of(source)
+    brought: dict[str, Any] = move_argument(source)
     if isinstance(chain, Chain):
         brought |= {"hinges": chain.opened, "root": chain.root, "hydrogen_mass": chain.hydrogen_mass}
     return build(source, **(brought | arguments))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Integers
 from protochain.core.errors import ProtochainError
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 
 Selection = Callable[[Structure], NDArray[np.bool_]]
 """Structure -> mask of the selected atoms (na,)."""
@@ -113,7 +113,7 @@ def _match_column(column: int, pattern: str) -> Selection:
     return selection
 
 
-@of_atoms
+@per_structure
 def _columns(structure: Structure) -> list[tuple[list[str], Integers]]:
     """Unique values of segment, residue number, atom name and residue name, and their index for each atom."""
     rows = structure.atom_residue

@@ -11,7 +11,7 @@ from protochain.core import graph
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.links import is_metal, usual_length
-from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.structure.molecule.residues import VAN_DER_WAALS
 from protochain.structure.preparation.linkage import COVALENT_SLACK
 
@@ -41,7 +41,7 @@ class Overlap:
         )
 
 
-@of_atoms
+@per_structure
 def radii(structure: Structure) -> Floats:
     """(na,) float, nm: van der Waals radii."""
     return read_only(np.array([VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element]))
@@ -65,19 +65,19 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
     return pairs[order].astype(np.int64), touch[order]
 
 
-@of_atoms
+@per_structure
 def _keys(structure: Structure, bonds: int) -> Integers:
     """Ascending numbers i na + j of the pairs of :func:`bonded_pairs`."""
     return np.sort(bonded_pairs(structure, bonds) @ [structure.n_atoms, 1])
 
 
-@of_atoms
+@per_structure
 def bonded_pairs(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
     return graph.pairs_within(structure.bonds, structure.n_atoms, bonds)
 
 
-@at_positions
+@per_positions
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them."""
     # Atoms closer than ``OVERLAP``, and heavy atoms of the protein and of a hetero molecule that are as close
@@ -97,7 +97,7 @@ def _with_hetero(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
     return np.asarray(structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]])
 
 
-@of_atoms
+@per_structure
 def _covalent(structure: Structure) -> Floats:
     """(na,) float, nm: radii whose sum is the longest bond of two atoms, -inf for hydrogens and metals."""
     radius = {

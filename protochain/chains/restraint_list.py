@@ -19,7 +19,7 @@ from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.dihedrals import finder
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.select import atoms_at
 
 if TYPE_CHECKING:
@@ -411,7 +411,7 @@ def _atoms(structure: Structure, place: str) -> Integers:
     return selected
 
 
-@of_atoms
+@per_structure
 def _selected_atoms(structure: Structure, place: str) -> Integers | None:
     """Atoms of a selection in the language of CNS, or None for any other place."""
     # MDAnalysis reads most of these selections, too, but takes a tenth of a second for each.
@@ -434,7 +434,7 @@ def _atom_in_file(structure: Structure, place: str) -> int:
     return int(atoms[0])
 
 
-@of_atoms
+@per_structure
 def _number_in_file(structure: Structure) -> tuple[Integers, Integers]:
     """Number of each atom and residue in the order of the file, from 1. Added atoms have 0."""
     if structure.origin is None:

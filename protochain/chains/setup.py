@@ -252,9 +252,9 @@ class Setup(Settings):
         )  # fmt: skip
         if not (self.rebuild_side_chains or self.sequence):
             return structure
-        from protochain.structure.substitute import rebuilt
+        from protochain.structure.substitute import rebuild
 
-        return rebuilt(structure, self.rebuild_side_chains, self.sequence, **self.of_building)
+        return rebuild(structure, self.rebuild_side_chains, self.sequence, **self.of_building)
 
     @property
     def of_building(self) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def info(
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
         "lost_atoms": lost_atoms(structure.losses),
-        "repairs": [item.told(str if as_json else options.as_option) for item in structure.repairs],
+        "repairs": [item.sentence(str if as_json else options.as_option) for item in structure.repairs],
         "violations": violations(structure).lines(structure),
         "overlaps": [f"{item}; {item.remedy}" for item in overlaps(structure, structure.positions, chain)],
         "seconds_import": imported - began,

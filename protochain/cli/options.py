@@ -224,11 +224,11 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
     """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
     from protochain.chains.articulate import turned_atoms
-    from protochain.structure.select import moving
+    from protochain.structure.select import moving_mask
 
     if move == defaults.MOVE:
         return []
-    free = moving(structure, move)
+    free = moving_mask(structure, move)
     rest = f"the other {_counted(structure, ~free)} are fixed"
     if chain is None:
         return [f"{_counted(structure, free)} move, {rest}"]
@@ -246,20 +246,20 @@ def print_changes(
     source: Path, structure: "Structure", read: Sequence[str] = (), warnings: Sequence[str] = ()
 ) -> None:
     """Print on standard error what was read and changed to prepare a file, losses first, and warnings."""
-    from protochain.structure.molecule.repairs import counts_of_changes, needs_action, summarised
+    from protochain.structure.molecule.repairs import counts_of_changes, needs_action, summarise
 
     repairs = structure.repairs
     sizes = counted(structure.n_protein_residues, "residue"), counted(structure.n_atoms, "atom")
     tell(Kind.READ, "; ".join([f"{source}: {', '.join(sizes)}", *read]))
     listed = f"protochain info lists all {counted(len(repairs), 'change')}"
     if is_verbose():
-        changes = summarised(repairs, as_option)
+        changes = summarise(repairs, as_option)
         tell(Kind.CHANGE, *changes, *([listed] if len(changes) < len(repairs) else []))
         warn(warnings)
     else:
         if repairs:
             tell(Kind.READ, "; ".join(filter(None, [counts_of_changes(repairs), listed])))
-        warn([*summarised(filter(needs_action, repairs), as_option), *warnings])
+        warn([*summarise(filter(needs_action, repairs), as_option), *warnings])
 
 
 VIOLATIONS_SHOWN = 5

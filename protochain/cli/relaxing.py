@@ -91,7 +91,7 @@ def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
     from protochain.relaxation.record import ENERGY, before_and_after
-    from protochain.structure.molecule.repairs import summarised
+    from protochain.structure.molecule.repairs import summarise
     from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)
@@ -118,10 +118,10 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
     details = []
     if record["repacked"]:
-        noted = summarised(result.turned) or ("no side chain is better turned",)
+        noted = summarise(result.turned) or ("no side chain is better turned",)
         details.append(f"repacked first: {'; '.join(noted)}")
     if turned := (*result.stereocentres_corrected, *result.peptides_turned):
-        details.append("; ".join(summarised(turned)))
+        details.append("; ".join(summarise(turned)))
     _wrapped(Kind.RESULT, stated)
     _wrapped(Kind.MORE, details)
     _wrapped(Kind.VERDICT, [record["message"]])

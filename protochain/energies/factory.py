@@ -49,8 +49,8 @@ from protochain.structure.molecule.templates import (
     NO_XML,
     PHOSPHATES,
     SMIRNOFF,
-    defined,
     phosphate_ends,
+    residue_names,
     strand_junctions,
 )
 from protochain.structure.preparation.glycans import parameters
@@ -372,7 +372,7 @@ def _phosphate_files(structure: Structure, parts: Sequence[str]) -> list[str]:
     names = _phosphorylated_names(structure)
     if not names:
         return []
-    if names <= defined([Path(part) for part in parts if _bundled_file(part) is None]):
+    if names <= residue_names([Path(part) for part in parts if _bundled_file(part) is None]):
         return []
     return [str(PHOSPHATES[part]) for part in parts if part in PHOSPHATES]
 

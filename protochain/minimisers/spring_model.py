@@ -19,7 +19,7 @@ from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import bonded_pairs, near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 
 DEPTH = 0.4
 """kJ/mol, well depth of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at
@@ -59,7 +59,7 @@ def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) 
     return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-decay * (distance / touch - 1.0)))
 
 
-@of_atoms
+@per_structure
 def covalent(structure: Structure) -> Springs:
     """Springs for bonds, angles and dihedrals: between atoms up to three bonds apart."""
     pairs = bonded_pairs(structure, 3)

@@ -14,7 +14,7 @@ from protochain.core.markup import counted, listed
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
-from protochain.structure.molecule.chirality import atoms_named, changed_stereocentres, mirror_images
+from protochain.structure.molecule.chirality import atom_names, changed_stereocentres, mirror_images
 from protochain.structure.molecule.model import Structure
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.fixed import chains_still, fixed_faults
@@ -137,7 +137,7 @@ def describe_rejections(structure: Structure, x: Floats) -> list[str]:
         f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
         for chain in mirror_images(structure.with_positions(x))
     ]
-    inverted = atoms_named(structure, inverted_stereocentres(structure, x))
+    inverted = atom_names(structure, inverted_stereocentres(structure, x))
     problems += [f"inverted stereocentres: {listed(inverted)}"] if inverted else []
     bonds = double_bonds_named(structure, inverted_double_bonds(structure, x))
     problems += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []

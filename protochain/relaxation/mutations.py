@@ -29,8 +29,12 @@ from protochain.structure import Structure
 from protochain.structure.build import from_sequence
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.select import atoms_at
+<<<<<<< HEAD
 from protochain.structure.sidechains.ideal import placed
-from protochain.structure.substitute import LETTERS, substituted
+=======
+from protochain.structure.sidechains.ideal import place_points
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
+from protochain.structure.substitute import LETTERS, substitute
 from protochain.validation.layout import NONE, layout
 
 NEAR = 10.0
@@ -225,7 +229,7 @@ def mutate_at(
     states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
     while True:
         built = (states, states | new)
-        sides = [substituted(structure, residue_names, **setup.of_building) for residue_names in built]
+        sides = [substitute(structure, residue_names, **setup.of_building) for residue_names in built]
         # A neighbour that would get another proton or a new bond is not rebuilt, on both sides.
         changed = {r for r in states if r not in names and any(_state(s, r) != states[r] for s in sides)}
         if not changed:
@@ -258,7 +262,7 @@ def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
     (complete,) = np.nonzero((atoms != NONE).all(axis=1))
     n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[complete].T]
     turn = np.where(structure.mirrored[complete], -1.0, 1.0) * _BETA[2]
-    betas = placed(n, c, alpha, _BETA[0], _BETA[1], turn)
+    betas = place_points(n, c, alpha, _BETA[0], _BETA[1], turn)
     distances = KDTree(betas[np.isin(complete, residues)]).query(betas)[0]
     return {r: state for r in complete[distances <= NEAR].tolist() if (state := _rebuildable(structure, r))}
 
@@ -301,5 +305,5 @@ def _state(structure: Structure, r: int) -> str:
 @lru_cache(maxsize=64)
 def _unfolded_energy(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue in GGXGG by the same protocol, a model of the unfolded chain, kJ/mol."""
-    peptide = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
+    peptide = substitute(from_sequence("GGGGG"), {2: state}, **setup.of_building)
     return _relax(peptide, [2], replace(relaxing, interface=""), setup).energy_end

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 
 _STIFFNESS = 2000.0
 """kJ/mol. A force field maintains angles of 90 and 180 degrees. There torques are about 700 kJ/mol/rad."""
@@ -26,7 +26,7 @@ class Planes:
     atoms: Integers  # (n, 4) int: Centre and its three neighbours.
 
     @staticmethod
-    @of_atoms
+    @per_structure
     def of(structure: Structure) -> "Planes":
         """Find carbons with three bonds, and nitrogens with three bonds next to such a carbon."""
         neighbours = structure.neighbours

@@ -35,8 +35,12 @@ from protochain.relaxation.relax_settings import RelaxSettings, fixed_options, s
 from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Relaxer, RoundEnd, best_round
 from protochain.structure import Structure
+<<<<<<< HEAD
 from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
-from protochain.structure.select import moved_of, moving, select, sides_named
+=======
+from protochain.structure.molecule.chirality import atom_names, with_mirror_images
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
+from protochain.structure.select import move_argument, moving, select, split_sides
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import as_native
 from protochain.validation.omega import bonds_named
@@ -89,7 +93,7 @@ def relax(
     >>> str(r.status)
     'converged'
     """
-    relaxing, setup = split({"preset": preset, **moved_of(source), **options})
+    relaxing, setup = split({"preset": preset, **move_argument(source), **options})
     with measure_run():
         structure = setup.load(source)
         energy = setup.energy_of(source, structure, fixed_options(relaxing, options))
@@ -110,7 +114,7 @@ def relax_structure(
         structure = with_mirror_images(structure)
     if settings.interface:
         as_native(energy)
-        sides_named(structure, settings.interface)
+        split_sides(structure, settings.interface)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
     excluded, strength = _unrestrained_residues(structure, settings), settings.strength
@@ -244,7 +248,7 @@ def _verdict(
 def _newly_inverted(problems: Problems) -> list[str]:
     """Stereocentres that were correct at the start and are inverted now. Corrected centres are ignored."""
     s = problems.structure
-    return atoms_named(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).inversions(s.positions)))
+    return atom_names(s, np.setdiff1d(problems.inversions, ChiralityRestraint.of(s).inversions(s.positions)))
 
 
 def _newly_reversed(problems: Problems) -> Integers:

@@ -17,7 +17,7 @@ from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import Rotamers, rotamers_of
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.sidechains.assignment import best
+from protochain.structure.sidechains.assignment import assign_states
 from protochain.validation.clashes import clashes
 from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
@@ -98,7 +98,9 @@ def _assign_rotamers(
     """Positions with the best rotamers, and repairs of the turned side chains."""
     x = np.array(structure.positions)
     interactions = Interactions(terms, structure.positions, turning)
-    assignment = best([interactions.self_energies(i) for i in range(len(turning))], interactions.pairs())
+    assignment = assign_states(
+        [interactions.self_energies(i) for i in range(len(turning))], interactions.pairs()
+    )
     repairs = []
     for side_chain, state in zip(turning, assignment.states.tolist(), strict=True):
         if state:

@@ -26,8 +26,8 @@ from protochain.relaxation.rounds import Round
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
-from protochain.structure.molecule.repairs import Kind, Repair, summarised
-from protochain.structure.select import sides, sides_named
+from protochain.structure.molecule.repairs import Kind, Repair, summarise
+from protochain.structure.select import sides, split_sides
 from protochain.validation import MEASURES
 from protochain.validation.interface import Interface, as_native, score_sides
 from protochain.validation.ligands import LigandFound, findings_of, motion_in_words, sdf_properties
@@ -181,7 +181,7 @@ class Relaxation(RunEnds):
     def _score_interface(self, structure: Structure) -> Interface | None:
         if not self.settings.interface:
             return None
-        pair = sides_named(structure, self.settings.interface)
+        pair = split_sides(structure, self.settings.interface)
         return score_sides(structure, as_native(self.energy_function), *pair, sides(structure, *pair))
 
     @property
@@ -262,7 +262,7 @@ class Relaxation(RunEnds):
                 "C-alpha RMSD to the start": (
                     f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
                 ),
-                **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
+                **({"side chains": "; ".join(summarise(self.turned))} if self.turned else {}),
                 **rows,
                 "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",
             },

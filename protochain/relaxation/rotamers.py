@@ -11,7 +11,7 @@ from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import volume
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.sidechains.arms import WIDTH, arm_of, around, backbone_of, wrapped
+from protochain.structure.sidechains.arms import WIDTH, arm_of, backbone_of, dihedral_grid, wrap_angle
 from protochain.structure.sidechains.rotamers import rotamers
 
 _MOST_CHI = 4
@@ -42,7 +42,7 @@ class Rotamers:
 
     def repair(self, state: int, residue: residues.Residue) -> Repair:
         """Repair that reports the turn."""
-        before, after = np.rint(np.rad2deg(wrapped(self.chi[[0, state], : self.n_chi]))).astype(int)
+        before, after = np.rint(np.rad2deg(wrap_angle(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
             return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
         old, new = (
@@ -100,13 +100,13 @@ def _of_residue(
 
 def _candidate_dihedrals(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:
     """Dihedrals (n, n_chi), rad, and rarities (n,) of the input, and of rotamers with turns about them."""
-    off = wrapped(library - now)
+    off = wrap_angle(library - now)
     if name in residues.SYMMETRIC:
         # Of two equivalent dihedrals, use the nearer to the input.
-        flipped = wrapped(off[:, -1] + np.pi)
+        flipped = wrap_angle(off[:, -1] + np.pi)
         off[:, -1] = np.where(np.abs(flipped) < np.abs(off[:, -1]), flipped, off[:, -1])
     unlikely = rarity + 0.5 * ((off / WIDTH) ** 2).sum(axis=1)
-    chi, cost = around(now + off, rarity, _TURNS, 1)
+    chi, cost = dihedral_grid(now + off, rarity, _TURNS, 1)
     return np.vstack([now, chi]), np.append(min(float(unlikely.min()), _RAREST), cost)
 
 

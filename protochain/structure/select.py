@@ -51,13 +51,13 @@ _RANGES = re.compile(r"index( \d+:\d+)+")
 _EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
 
 
-def moved_of(source: Any) -> dict[str, str]:
+def move_argument(source: Any) -> dict[str, str]:
     """Argument ``move`` that a chain or a result brings; none of anything else."""
     move = getattr(getattr(source, "chain", source), "move", None)
     return {"move": move} if isinstance(move, str) else {}
 
 
-def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
+def moving_mask(structure: Structure, move: str) -> NDArray[np.bool_]:
     """Atoms (na,) that a selection lets move; ``all`` but obstacles."""
     free = ~structure.obstacle
     if move == defaults.MOVE:
@@ -91,7 +91,7 @@ def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.boo
     return one, two
 
 
-def sides_named(structure: Structure, interface: str) -> tuple[str, str]:
+def split_sides(structure: Structure, interface: str) -> tuple[str, str]:
     """Split ``A:B``, ``A,B:C`` or ``A:resid 5:20`` at the colon that leaves two sides."""
     parts = interface.split(":")
     splits = [(":".join(parts[:k]).strip(), ":".join(parts[k:]).strip()) for k in range(1, len(parts))]

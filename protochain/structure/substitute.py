@@ -24,7 +24,7 @@ LETTERS = {letter: name for name, letter in STANDARD.items()}
 """Names of the 20 standard residues by their letters."""
 
 
-def substituted(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
+def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
     """Build side chains anew, on rotamers, all at once, under names by residue; other atoms stay."""
     made, kept, gone, noted = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
@@ -89,7 +89,7 @@ def _as_of(new: Structure, old: Structure, kept: np.ndarray, noted: list[Repair]
     )  # fmt: skip
 
 
-def rebuilt(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
+def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
     """Put another sequence on the backbone, and build the side chains of a selection anew, or of all."""
     names = _threaded(structure, sequence) if sequence else {}
     if selection:
@@ -100,7 +100,7 @@ def rebuilt(structure: Structure, selection: str, sequence: str, **settings: Any
                 names.setdefault(r, str(structure.residue_name[r]))
         if not names:
             raise refused("rebuild_side_chains", repr(selection), "has no side chain of a standard residue")
-    return substituted(structure, names, **settings) if names else structure
+    return substitute(structure, names, **settings) if names else structure
 
 
 def _threaded(structure: Structure, sequence: str) -> dict[int, str]:

@@ -36,7 +36,7 @@ from protochain.structure.formats.records import (
     with_names,
 )
 from protochain.structure.formats.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
-from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, settle, with_header
+from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, update_entities, with_header
 from protochain.structure.molecule.links import is_metal
 from protochain.structure.molecule.member import address_of
 from protochain.structure.molecule.model import Structure
@@ -113,7 +113,7 @@ def as_text(
         remarks = [*remarks, *map(_short_name, *zip(*short.items(), strict=True))]
         models = [_renamed(each, short) for each in models]
     out = as_gemmi(models)
-    settle(out, whole=format_ == "mmCIF")
+    update_entities(out, whole=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
     repairs = dict.fromkeys(str(repair) for each in models for repair in each.repairs)

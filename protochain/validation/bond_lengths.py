@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, distance
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.templates import DNA, PHOSPHATES, PROTEIN, RNA
 from protochain.validation.strain import norms
 
@@ -45,7 +45,7 @@ def bond_lines(structure: Structure, x: Floats, bonds: Integers) -> list[str]:
     return lines
 
 
-@of_atoms
+@per_structure
 def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]:
     """Bonds (n, 2) without metals, their reference lengths and bounds (n,), nm."""
     bonds = structure.bonds[~metals(structure)[structure.bonds].any(axis=1)]
@@ -67,13 +67,13 @@ def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]
     return bonds, length, np.where(loose, _SHORT * length, length - WINDOW), length + slack
 
 
-@of_atoms
+@per_structure
 def covalent_radii(structure: Structure) -> Floats:
     """(na,) float, angstrom: covalent radii."""
     return np.array([gemmi.Element(str(symbol)).covalent_r for symbol in structure.atom_element])
 
 
-@of_atoms
+@per_structure
 def metals(structure: Structure) -> NDArray[np.bool_]:
     """(na,) bool: metals."""
     symbols = np.unique(structure.atom_element)

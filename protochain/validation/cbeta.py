@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
-from protochain.structure.sidechains.ideal import placed, unit
+from protochain.structure.sidechains.ideal import place_points, unit
 from protochain.validation.layout import NONE, layout, positions
 
 LIMIT = 0.25
@@ -51,8 +51,8 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T
     sign = np.where(structure.mirrored[residue], -1.0, 1.0)
     middle = 0.5 * (
-        placed(n, c, alpha, length, np.radians(from_c), np.radians(sign * round_c))
-        + placed(c, n, alpha, length, np.radians(from_n), np.radians(sign * round_n))
+        place_points(n, c, alpha, length, np.radians(from_c), np.radians(sign * round_c))
+        + place_points(c, n, alpha, length, np.radians(from_n), np.radians(sign * round_n))
     )
     out = middle - alpha
     out[~out.any(axis=1), 0] = 1.0  # Of atoms at one point, where no way is out.

@@ -10,7 +10,7 @@ from protochain.chains.contacts import bonded_pairs
 from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.validation.layout import positions
 from protochain.validation.rings import rings
 
@@ -133,7 +133,7 @@ class _Kinds:
     lengths: Floats
 
 
-@of_atoms
+@per_structure
 def _kinds(structure: Structure) -> _Kinds:
     element = np.char.upper(structure.atom_element)
     n, bonds = structure.n_atoms, structure.bonds
@@ -212,7 +212,7 @@ def _is_excluded(structure: Structure, i: Integers, j: Integers) -> NDArray[np.b
     return excluded[index] == code if len(excluded) else np.zeros(len(code), dtype=bool)
 
 
-@of_atoms
+@per_structure
 def _excluded_pairs(structure: Structure) -> Integers:
     """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
     near, far = bonded_pairs(structure, 3), bonded_pairs(structure, 4)

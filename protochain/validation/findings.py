@@ -12,7 +12,7 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.markup import counted, listed
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.chirality import atoms_named, wrong_atoms
+from protochain.structure.molecule.chirality import atom_names, wrong_centres
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind
 from protochain.validation.bond_lengths import bond_lines
@@ -59,7 +59,9 @@ class Findings(Value):
     side_chains = _measure_once(side_chains)
     cbeta = _measure_once(cbeta_deviations)
     peptides = _measure_once(omegas)
-    inverted_stereocentres = _measure_once(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
+    inverted_stereocentres = _measure_once(
+        lambda structure, x: wrong_centres(structure, x, structure.mirrored)
+    )
     rings = _measure_once(threaded_rings)
     fixed = _measure_once(fixed_faults)
     strain = _measure_once(strain)
@@ -273,7 +275,7 @@ def _at_interfaces(findings: Findings) -> list[str]:
 
 REMAINS = {
     "inverted_stereocentres": Remaining(
-        "inverted stereocentres", lambda f: atoms_named(f.structure, inverted_stereocentres(f.structure, f.x))
+        "inverted stereocentres", lambda f: atom_names(f.structure, inverted_stereocentres(f.structure, f.x))
     ),
     "d_amino_acids_unnamed": Remaining(
         "D-amino acids by their coordinates, under names of L",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, freeze, read_only
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.residues import STANDARD, STATE_PARENT
 
 WIDTH = 14
@@ -79,7 +79,7 @@ def _opposite(
     return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
 
 
-@of_atoms
+@per_structure
 def places(structure: Structure) -> tuple[Integers, Integers]:
     """Atom in each place of each residue (nr, 14), or -1, and its type (nr,), -1 of caps and molecules."""
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, dihedral, floats, read_only
 from protochain.core.graph import both_ways
-from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.structure.molecule.residues import BACKBONE
 
 NONE = -1
@@ -35,7 +35,7 @@ def positions(structure: Structure, x: Floats | None) -> Floats:
     return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
 
 
-@of_atoms
+@per_structure
 def layout(structure: Structure) -> Layout:
     """Find the amino acids of a structure, their atoms and neighbours, the same for all its positions."""
     n, of = structure.n_residues, structure.atom_residue
@@ -67,7 +67,7 @@ def dihedrals(x: Floats, atoms: Integers) -> Floats:
     return np.where((atoms == NONE).any(axis=1), np.nan, angles)
 
 
-@at_positions
+@per_positions
 def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:
     """phi, psi, and omega of the bond before each residue (nr,), in degrees, NaN if missing."""
     amino = layout(structure)

@@ -17,7 +17,7 @@ from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import quietly, to_rdkit
 from protochain.ligands.strain import strain
 from protochain.structure.ligand_files import bonded_ligands
-from protochain.structure.molecule.model import BoundLigand, Structure, at_positions
+from protochain.structure.molecule.model import BoundLigand, Structure, per_positions
 from protochain.structure.molecule.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
 
@@ -176,7 +176,7 @@ def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
     return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
 
 
-@at_positions
+@per_positions
 def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
     """Strain of each ligand in kJ/mol, from two minimisations, None if not available."""
     strains = [

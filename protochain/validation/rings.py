@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, neighbours
-from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.validation.layout import positions
 
 LARGEST = 20
@@ -80,7 +80,7 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     return list(_find_threaded(structure, positions(structure, x)))
 
 
-@at_positions
+@per_positions
 def _find_threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
     ring_index, bonds = _near(structure, x)
     if not len(ring_index):
@@ -98,7 +98,7 @@ def _find_threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
     )
 
 
-@of_atoms
+@per_structure
 def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     """Rings of at most 20 atoms, in order, within residues or closed by side chains or ends of a chain."""
     of = structure.atom_residue
@@ -160,7 +160,7 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
     return tuple(path[::-1])
 
 
-@of_atoms
+@per_structure
 def _barred_atoms(structure: Structure) -> tuple[frozenset[int], ...]:
     """Atoms of each ring, and of all r of a ring of several: their bonds do not go through it."""
     of, barred = structure.atom_residue, []

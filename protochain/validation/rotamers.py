@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.residues import CHI, SYMMETRIC
 from protochain.validation.layout import NONE, dihedrals, layout, positions
 
@@ -85,7 +85,7 @@ def _library() -> dict[str, list[tuple[str, list[float]]]]:
     return of
 
 
-@of_atoms
+@per_structure
 def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Integers]:
     """Name and residues (n,) of each kind with rotamers, and atoms (m, 4) of all dihedrals, in order."""
     amino = layout(structure)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers, Value, angle, distance, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.structure.molecule.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions
@@ -120,7 +120,7 @@ class _Terms:
     angles: Floats
 
 
-@of_atoms
+@per_structure
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
     terms = []
@@ -142,7 +142,7 @@ def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
     return np.array(values).reshape(-1, 2)[index.ravel()]
 
 
-@of_atoms
+@per_structure
 def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
     """Atom types of the structure, and the type of each atom by its place among them (na,)."""
     names, kind = np.unique(_types(structure), return_inverse=True)

@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions
@@ -169,7 +169,7 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     return _violations(structure, positions(structure, x))
 
 
-@at_positions
+@per_positions
 def _violations(structure: Structure, x: Floats) -> Violations:
     wrong_length = wrong_bonds(structure, x)
     covalent = wrong_length[~structure.obstacle[wrong_length].all(axis=1)]
@@ -235,7 +235,7 @@ def _within(structure: Structure, x: Floats) -> Integers:
     return np.asarray(pairs[(distance < lower) | (distance > upper)])
 
 
-@of_atoms
+@per_structure
 def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
     """Atoms (n, 2) of one residue, and the least and greatest distances allowed (n,), angstrom."""
     at, kind = places(structure)
@@ -260,7 +260,7 @@ def _bounds() -> tuple[Floats, Floats]:
     return np.where(finite, mean - _SIGMAS * sigma, contact), np.where(finite, mean + _SIGMAS * sigma, np.inf)
 
 
-@of_atoms
+@per_structure
 def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
     at, kind = places(structure)
@@ -288,7 +288,7 @@ def _as_number(text: str) -> float:
         return np.nan
 
 
-@of_atoms
+@per_structure
 def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     """Atoms (n,) that may clash, radii (na,), and pairs that are bonded or joined C-N, each as one number."""
     at, _ = places(structure)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protochain.core.graph import beyond, bond_angles, both_ways, components, neighbours, pairs_within, within
-from protochain.structure.sidechains.conflicts import beside, touching
+from protochain.structure.sidechains.conflicts import neighbour_tables, touching
 
 SQUARE = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [3, 4], [5, 6]])
 """A ring of four with a tail, and a pair."""
@@ -40,5 +40,5 @@ def test_side_chains_that_may_touch_and_their_tables():
     assert touching(line, 2.1) == [(0, 1)] and touching(line, 3.1) == [(0, 1), (1, 2)]
     assert touching(line[:1], 9.0) == []
     table = np.arange(6.0).reshape(2, 3)
-    ((one, own),), ((other, turned),), none = beside({(0, 1): table}, 3)
+    ((one, own),), ((other, turned),), none = neighbour_tables({(0, 1): table}, 3)
     assert (one, other, none) == (1, 0, []) and (own is table) and np.array_equal(turned, table.T)

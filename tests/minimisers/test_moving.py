@@ -7,7 +7,7 @@ from fixtures.samples import chain, energy, load, shared, still
 import protochain as pc
 from protochain.chains.articulate import turned_atoms
 from protochain.relaxation.repack import repack_side_chains
-from protochain.structure.select import moving, select
+from protochain.structure.select import moving_mask, select
 
 BACKBONE = {"N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT"}
 
@@ -77,14 +77,14 @@ def test_what_selects_nothing_is_refused_wherever_it_is_given():
     assert haem.obstacle.any()
     kept = haem.residue_name[haem.atom_residue[haem.obstacle]][0]
     with pytest.raises(pc.ProtochainError, match="selects only molecules that stand still"):
-        moving(haem, f"resname {kept}")
+        moving_mask(haem, f"resname {kept}")
 
 
 @pytest.mark.parametrize("move", ["sidechain", "around 4 chainID A"])
 def test_relax_moves_what_is_selected_and_no_bit_of_the_rest(move):
     s, e = load("3i40.pdb"), energy("3i40.pdb")
     r = pc.relax(s, move=move, max_iterations=25, tolerance=30.0, threads=1)
-    chosen = moving(s, move)
+    chosen = moving_mask(s, move)
     assert 0 < chosen.sum() < s.n_atoms
     assert np.array_equal(r.x[~chosen], s.positions[~chosen])
     assert (np.abs(r.x - s.positions)[chosen] > 0.0).any(axis=1).mean() > 0.9
@@ -114,7 +114,7 @@ def test_no_round_unthreading_hand_or_rotamer_moves_what_is_fixed():
     spoilt = s.with_positions(x)
     for move in ("resid 10:20", "sidechain"):
         r = pc.relax(spoilt, "design", move=move, max_iterations=15, repack=True, threads=1)
-        fixed = ~moving(spoilt, move)
+        fixed = ~moving_mask(spoilt, move)
         assert len(r.rounds) >= 1 and np.array_equal(r.x[fixed], x[fixed])
     chosen = select(s, "resid 1:10")
     turned = repack_side_chains(spoilt, range(20), moving=chosen)

@@ -10,7 +10,7 @@ import protochain as pc
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Relaxer
-from protochain.structure.molecule.chirality import chiral_atoms, mirror_images, wrong_atoms
+from protochain.structure.molecule.chirality import chiral_atoms, mirror_images, wrong_centres
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.residues import Residue
 
@@ -108,10 +108,10 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
 def test_noise_neither_leaves_nor_makes_a_wrong_hand(name, seed):
     """Of 4pti a C-alpha of 1.6 cubic angstrom, of 2.5 in ideal residues, once went to the other side."""
     s = models.shaken(load(name), 0.25, seed=seed)
-    before = wrong_atoms(s, s.positions, s.mirrored)
+    before = wrong_centres(s, s.positions, s.mirrored)
     assert len(before) == 2
     r = pc.relax(s, threads=1)
-    assert r.status == "converged" and not len(wrong_atoms(s, r.x, s.mirrored))
+    assert r.status == "converged" and not len(wrong_centres(s, r.x, s.mirrored))
     assert len(r.stereocentres_corrected) == 2
 
 
@@ -190,11 +190,11 @@ def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():
 def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():
     """Gramicidin A alternates; its file of 1996 names D-leucine as leucine, and D-valine as valine."""
     s = pc.load(shared("1grm_gramicidin.pdb"))
-    wrong = wrong_atoms(s, s.positions, s.mirrored)
+    wrong = wrong_centres(s, s.positions, s.mirrored)
     assert len(wrong) == 12 and not s.mirrored.any()
     assert not len(ChiralityRestraint.of(s).inversions(s.positions))
     r = pc.relax(s, threads=1, solvent="vacuum")
-    assert r.stereocentres_corrected == () and np.array_equal(wrong_atoms(s, r.x, s.mirrored), wrong)
+    assert r.stereocentres_corrected == () and np.array_equal(wrong_centres(s, r.x, s.mirrored), wrong)
     flat = s.positions.copy()
     (around,) = (row[1:] for row in chiral_atoms(s) if row[0] == wrong[3])
     flat[wrong[3]] = s.positions[around].mean(axis=0)

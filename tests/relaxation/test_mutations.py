@@ -15,7 +15,7 @@ from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
 from protochain.relaxation.mutations import NEAR, mutate_at, places_of, protocol
 from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.substitute import substituted
+from protochain.structure.substitute import substitute
 
 FAST = {"solvent": "vacuum", "threads": 1}
 
@@ -103,7 +103,7 @@ def test_there_and_back_the_change_is_nothing(r, new):
 @pytest.mark.parametrize("state", ["HID", "HIE"])
 def test_a_histidine_goes_and_comes_back_whatever_its_tautomer(state):
     s = load("1hel.pdb")
-    s = substituted(s, {int(np.flatnonzero(s.residue_number == "15")[0]): state})
+    s = substitute(s, {int(np.flatnonzero(s.residue_number == "15")[0]): state})
     assert pc.mutate(s, "A:H15H", **FAST).ddg == 0.0
     assert abs(there_and_back(s, 14, "A", **FAST)) < THERE_AND_BACK
 

@@ -25,7 +25,7 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_structure import _newly_inverted, relax_structure
 from protochain.relaxation.rounds import Relaxer
-from protochain.structure.molecule.chirality import wrong_atoms
+from protochain.structure.molecule.chirality import wrong_centres
 from protochain.structure.molecule.residues import VAN_DER_WAALS
 from protochain.validation import violations
 
@@ -324,10 +324,10 @@ def test_only_hands_that_became_wrong_are_inverted():
     """A model with noise, in which hands were wrong, ends with right ones: that is no fault."""
     shaken = models.shaken(load("1l2y.pdb"), 0.6, seed=2)
     x, mirrored = shaken.positions, shaken.mirrored
-    wrong = wrong_atoms(shaken, x, mirrored)
+    wrong = wrong_centres(shaken, x, mirrored)
     assert len(wrong) >= 1
     r = pc.relax(shaken, threads=1, solvent="vacuum")
-    left = wrong_atoms(shaken, r.x, mirrored)
+    left = wrong_centres(shaken, r.x, mirrored)
     assert len(left) < len(wrong) and (r.status is pc.Status.INVERTED) == bool(set(left) - set(wrong))
     right = load("1l2y.pdb")
     mirror = right.positions * [1.0, 1.0, -1.0]

@@ -22,9 +22,13 @@ from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure.molecule import residues
 from protochain.structure.select import select
-from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
+from protochain.structure.sidechains.arms import Arm, backbone_of, wrap_angle
+<<<<<<< HEAD
 from protochain.structure.sidechains.assignment import best
-from protochain.structure.sidechains.reduction import Part, undominated
+=======
+from protochain.structure.sidechains.assignment import assign_states
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
+from protochain.structure.sidechains.reduction import Part, eliminate_dead_ends
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings
 
@@ -57,7 +61,7 @@ def test_the_global_minimum_is_that_of_all_combinations(largest):
     for seed in range(60):
         own, pairs = tables(seed)
         least = min(cost(own, pairs, states) for states in product(*(range(len(e)) for e in own)))
-        found = best(own, pairs, largest)
+        found = assign_states(own, pairs, largest)
         assert found.is_proven
         assert found.energy == pytest.approx(least, abs=1e-8), seed
         assert cost(own, pairs, found.states) == pytest.approx(found.energy, abs=1e-8)
@@ -76,7 +80,7 @@ def test_goldsteins_criterion_rules_out_what_another_state_beats_whatever_the_ot
                 more = e[:, None] - e + sum(np.min(each[:, None] - each, axis=2) for each in with_i)
                 alive[i] &= ~(more[:, alive[i]] > 0.0).any(axis=1)
         states = tuple(np.arange(len(e)) for e in own)
-        left = undominated(Part(tuple(range(len(own))), tuple(own), states, pairs, 0.0))
+        left = eliminate_dead_ends(Part(tuple(range(len(own))), tuple(own), states, pairs, 0.0))
         assert all(np.array_equal(*each) for each in zip(left, alive, strict=True))
         ruled_out += sum(np.sum(~each) for each in alive)
     assert ruled_out > 100
@@ -90,7 +94,7 @@ def frustrated(n=14, n_states=6):
 
 def test_a_search_that_is_ended_says_so_and_still_has_states():
     own, pairs = frustrated()
-    ended = best(own, pairs, largest=1, most_tables=100)
+    ended = assign_states(own, pairs, largest=1, most_tables=100)
     assert not ended.is_proven
     assert cost(own, pairs, ended.states) == pytest.approx(ended.energy)
     # No change of one site improves them.
@@ -219,7 +223,7 @@ def test_a_turned_side_chain_says_its_dihedrals_in_the_input_and_now():
     (arm,) = rotamers_of(structure, structure.positions, [5])
     assert arm.repair(0, "x").facts == {"residue": "x"}
     for state in range(1, len(arm.chi)):
-        facts, at = arm.repair(state, "x").facts, np.rint(np.rad2deg(wrapped(arm.chi[state]))).astype(int)
+        facts, at = arm.repair(state, "x").facts, np.rint(np.rad2deg(wrap_angle(arm.chi[state]))).astype(int)
         before = [int(np.rint(chi[f"chi{k}"][5])) for k in (1, 2)]
         assert facts["before"] == f"chi1 {before[0]} chi2 {before[1]}"
         assert facts["after"] == f"chi1 {at[0]} chi2 {at[1]}" != facts["before"]
@@ -262,7 +266,7 @@ def test_dihedrals_are_those_asked_for():
         now = np.array(structure.positions)
         now[arm.atoms] = x
         found = [float(dihedral(*now[[at[name] for name in quartet]])) for quartet in quartets]
-        assert wrapped(np.array(found) - chi) == pytest.approx(0.0, abs=1e-9)
+        assert wrap_angle(np.array(found) - chi) == pytest.approx(0.0, abs=1e-9)
 
 
 # --- All of it
@@ -293,7 +297,7 @@ def test_random_side_chains_come_back():
     assert len(near_pairs(given, given.positions, OVERLAP)[0]) > 20
     found = repack_side_chains(given, chosen)
     x = found.positions
-    off = [abs(wrapped(chi1(native, x, r) - chi1(native, native.positions, r))) for r in chosen]
+    off = [abs(wrap_angle(chi1(native, x, r) - chi1(native, native.positions, r))) for r in chosen]
     # A third of random ones would be; 0.8 are.
     assert np.mean(np.array(off) < np.deg2rad(40)) >= 0.7
     assert not len(near_pairs(found, x, OVERLAP)[0])

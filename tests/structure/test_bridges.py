@@ -138,7 +138,7 @@ def crosslinked(*members):
         id(m): fragments.Place(part, i, *part.around(i))
         for part in draft.parts for i, m in enumerate(part.members)
     }  # fmt: skip
-    return [(link.atom.name, link.other_atom.name) for link in fragments._amides(draft, where)]
+    return [(link.atom.name, link.hetero_atom.name) for link in fragments._amides(draft, where)]
 
 
 @pytest.mark.parametrize(("amine", "nitrogen"), [("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND")])
@@ -440,7 +440,7 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
         assert (link is not None) is bonded
         assert [a.name for a in residue.links] == ["ND2"] * bonded and residue.metals == []
         if bonded:
-            assert (link.member, link.atom.name, link.other, link.other_atom.name) == (
+            assert (link.member, link.atom.name, link.hetero, link.hetero_atom.name) == (
                 residue, "ND2", beside_it, "C1",
             )  # fmt: skip
             assert not link.is_metal and kinds(draft) == [Kind.BONDED]

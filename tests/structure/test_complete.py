@@ -210,7 +210,7 @@ def test_names_are_wrong_where_most_of_positive_phi_are_of_the_other_hand(
     for k in named_d:
         part.members[k].is_d = True
     monkeypatch.setattr(module, "_phi", lambda part, k: phi[k])
-    monkeypatch.setattr(module, "handedness", lambda member: hands[part.members.index(member)])
+    monkeypatch.setattr(module, "chirality", lambda member: hands[part.members.index(member)])
     assert module._is_misnamed(part, 0) is misnamed
 
 

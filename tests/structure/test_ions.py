@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.energies.factory import build_system
 from protochain.structure.formats import ions
-from protochain.structure.molecule.repairs import Why
+from protochain.structure.molecule.repairs import Reason
 
 APART = (40.0, 40.0, 40.0)
 """Angstrom: a place that no atom of the peptide coordinates."""
@@ -91,13 +91,13 @@ def test_a_charge_in_the_file_stays_and_an_unknown_one_is_named(tmp_path):
     s = pc.load(with_ion(tmp_path, "FE", "FE", "FE", "2+"), keep="all")
     assert s.formal_charge[-1] == 2 and parameters(s)[1] == pytest.approx(0.24108, abs=1e-5)
     s = pc.load(with_ion(tmp_path, "XXQ", "NB", "NB"), keep="all")
-    assert not s.kept.any() and [loss.why for loss in s.losses] == [Why.CHARGE]
+    assert not s.kept.any() and [loss.why for loss in s.losses] == [Reason.CHARGE]
     assert pc.load(with_ion(tmp_path, "XXQ", "NB", "NB", "3+"), keep="all").formal_charge[-1] == 3
 
 
 def test_dummies_of_a_membrane_are_never_kept(tmp_path):
     s = pc.load(with_ion(tmp_path, "DUM", "N", "N"), keep="all")
-    assert not s.kept.any() and [loss.why for loss in s.losses] == [Why.DUMMY]
+    assert not s.kept.any() and [loss.why for loss in s.losses] == [Reason.DUMMY]
 
 
 def test_an_amino_acid_alone_is_no_ion():

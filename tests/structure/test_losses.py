@@ -13,7 +13,7 @@ from protochain.batches.table import Tables, read_table
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
-from protochain.structure.molecule.repairs import Loss, Why
+from protochain.structure.molecule.repairs import Loss, Reason
 from protochain.structure.preparation.losses import loss_lines
 from protochain.structure.write import as_text
 
@@ -26,11 +26,11 @@ CHANGES = {
 }
 """Residue number to the new name, the atom at which others hang, these (angstrom from it), and what goes."""
 LOST = (
-    Loss("A", "1", "PCA", ("OE",), Why.ASKED),
-    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Why.ASKED),
-    Loss("A", "5", "TPO", ("P", "O1P"), Why.ASKED),
-    Loss("A", "7", "TYS", ("S", "O1", "O2"), Why.ASKED),
-    Loss("A", "9", "MLE", ("CN",), Why.ASKED),
+    Loss("A", "1", "PCA", ("OE",), Reason.ASKED),
+    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Reason.ASKED),
+    Loss("A", "5", "TPO", ("P", "O1P"), Reason.ASKED),
+    Loss("A", "7", "TYS", ("S", "O1", "O2"), Reason.ASKED),
+    Loss("A", "9", "MLE", ("CN",), Reason.ASKED),
 )
 ASKED = ("--standard-residues",)
 SAID = "A:1 PCA OE; A:3 SEP P, O1P, O2P; A:5 TPO P, O1P; A:7 TYS S, O1, O2; A:9 MLE CN"
@@ -120,14 +120,18 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
     path.write_text("".join(lines + beside) + "END\n")
     s = pc.load(path)
     assert set(s.losses) == {
-        Loss("A", "4", "ALA", ("OXT",), Why.INNER),
-        Loss("B", "1", "SO4", ("S", "O1", "O2"), Why.FAR),
-        Loss("C", "7", "ALA", ("N", "CB"), Why.BACKBONE),
-        Loss("D", "1", "QQQ", ("Q",), Why.ELEMENT),
+        Loss("A", "4", "ALA", ("OXT",), Reason.INNER),
+        Loss("B", "1", "SO4", ("S", "O1", "O2"), Reason.FAR),
+        Loss("C", "7", "ALA", ("N", "CB"), Reason.BACKBONE),
+        Loss("D", "1", "QQQ", ("Q",), Reason.ELEMENT),
     }
     assert s.left_out["waters"] == 1 and s.left_out["atoms of ALA"] == 1 == s.left_out["SO4"]
     # Left out by choice, they are not lost.
-    assert {loss.why for loss in pc.load(path, keep="none").losses} == {Why.INNER, Why.BACKBONE, Why.ELEMENT}
+    assert {loss.why for loss in pc.load(path, keep="none").losses} == {
+        Reason.INNER,
+        Reason.BACKBONE,
+        Reason.ELEMENT,
+    }
     record = pc.minimise(s, max_evaluations=1).record()
     assert record["far_molecules"] == ["B:1 SO4"] and record["n_lost_atoms"] == 4
     assert loss_lines([record]) == [

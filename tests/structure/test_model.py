@@ -10,7 +10,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.model import Tie, at_positions
+from protochain.structure.molecule.model import Tie, per_positions
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation.prepare import _bonds, _indices, _refuse_coincident, user_files
 from protochain.structure.preparation.sites import Link
@@ -224,7 +224,7 @@ def test_a_force_field_is_a_users_if_it_is_a_file(tmp_path):
 def test_what_is_found_at_positions_is_kept_for_the_last_two():
     asked = []
 
-    @at_positions
+    @per_positions
     def first(structure, x):
         asked.append(x[0, 0])
         return float(x[0, 0])

@@ -14,7 +14,7 @@ from protochain.energies.factory import build_system
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import from_dictionary
 from protochain.structure.molecule.chirality import chiral_atoms
-from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.repairs import Kind, Reason
 from protochain.structure.molecule.residues import OF_ALANINE
 from protochain.validation.omega import omegas
 
@@ -171,7 +171,7 @@ def test_its_side_chain_turns_but_not_its_amide(tmp_path):
 
 def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     s = made("M3L", tmp_path, standard_residues=True)
-    assert s.residue_name[2] == "LYS" and s.losses[0].why is Why.ASKED
+    assert s.residue_name[2] == "LYS" and s.losses[0].why is Reason.ASKED
     with pytest.raises(pc.ProtochainError, match="standard_residues=True"):
         pc.energy(made("M3L", tmp_path), "charmm36")
 
@@ -183,7 +183,7 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     capping._parametrised.cache_clear()
     monkeypatch.setattr(optional_libraries.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
-    assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
+    assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Reason.PARENT]
 
 
 def test_a_link_to_an_atom_that_its_parent_lacks_goes_with_it(tmp_path):
@@ -196,7 +196,7 @@ def test_a_link_to_an_atom_that_its_parent_lacks_goes_with_it(tmp_path):
     link = f"{'LINK':12s} CH3 ALY A   3 {'O1  EDO B   1':>29s}"
     path.write_text("\n".join([link, *lines, oxygen, "END\n"]))
     s = pc.load(path)
-    assert s.residue_name[2] == "LYS" and s.losses[0].why is Why.INCOMPLETE
+    assert s.residue_name[2] == "LYS" and s.losses[0].why is Reason.INCOMPLETE
     assert "EDO" in s.residue_name and not len(s.links)
     assert [each.facts["count"] for each in s.repairs if each.kind is Kind.BONDS_LEFT_OUT] == [1]
 

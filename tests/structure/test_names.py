@@ -9,7 +9,7 @@ from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.repairs import Kind, Reason
 from protochain.structure.molecule.residues import D_NAMES
 from protochain.structure.write import as_text
 
@@ -62,7 +62,7 @@ def test_a_name_that_means_several_things_is_what_its_atoms_are(
     assert s.residue_name.tolist() == ["ALA", taken, "ALA"]
     # Atoms that the residue has in the archive are missing, or its chemistry is unknown.
     assert [(each.name, each.atoms) for each in s.losses] == ([(name, lost)] if lost else [])
-    assert {each.why for each in s.losses} <= {Why.PARENT, Why.INCOMPLETE}
+    assert {each.why for each in s.losses} <= {Reason.PARENT, Reason.INCOMPLETE}
 
 
 def test_homoserine_is_no_histidine(tmp_path):

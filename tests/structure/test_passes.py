@@ -48,7 +48,7 @@ def of_file(made, **options):
 
 def member(name, number, *atoms, chain="A"):
     made = [atom(label, element, [x, 0.0, 0.0]) for label, element, x in atoms]
-    return Member(name, str(number), "", chain, made, given=name)
+    return Member(name, str(number), "", chain, made, raw_name=name)
 
 
 def of_members(*members, beside=()):

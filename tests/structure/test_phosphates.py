@@ -8,7 +8,7 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure.molecule.repairs import Why
+from protochain.structure.molecule.repairs import Reason
 from protochain.structure.molecule.templates import PHOSPHATES
 from protochain.validation.strain import strain
 
@@ -96,9 +96,9 @@ def test_acid_has_one_hydrogen_and_the_file_says_on_which_oxygen(path, tmp_path)
 @pytest.mark.parametrize(
     ("site", "gone", "why"),
     [
-        (20, "", Why.ASKED),
-        (20, "O2P", Why.INCOMPLETE),
-        (1, "", Why.END),
+        (20, "", Reason.ASKED),
+        (20, "O2P", Reason.INCOMPLETE),
+        (1, "", Reason.END),
     ],
 )
 def test_else_it_becomes_its_parent_and_the_loss_says_why(site, gone, why, tmp_path):
@@ -107,7 +107,7 @@ def test_else_it_becomes_its_parent_and_the_loss_says_why(site, gone, why, tmp_p
     if gone:
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(line for line in lines if line[12:16].strip() != gone))
-    s = pc.load(path, standard_residues=why is Why.ASKED)
+    s = pc.load(path, standard_residues=why is Reason.ASKED)
     assert s.residue_name[site - 1] == "SER" and "SEP" not in s.residue_name
     (loss,) = s.losses
     assert loss.why is why and {"P", "O1P", "O3P"} <= {*loss.atoms}

@@ -10,7 +10,7 @@ from fixtures.repairs import noted
 
 from protochain.cli.options import as_option
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.repairs import EVERYTHING, Kind, Repair, summarised
+from protochain.structure.molecule.repairs import KEEP_ALL, Kind, Repair, summarise
 from protochain.structure.molecule.residues import Residue
 from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 
@@ -73,7 +73,7 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
     hydrogens = Repair(Kind.HYDROGENS_ADDED, {"count": 12, "ph": 7, "present": 0})
     last, first = Residue("A", "3", "SER"), Residue("", "5A", "GLY")
     gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
-    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": KEEP_ALL})
     lost = [
         repair(Kind.ALTERNATES, ("A", "4", "SER"), used="A", occupancy=0.6, others=("SER B",)),
         repair(Kind.NO_BACKBONE, ("A", "7", "GLY"), atom="N"),
@@ -87,22 +87,26 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
     many = [repair(Kind.ATOMS_ADDED, ("A", f"{n}", "LYS"), atoms=("CE", f"N{n}")) for n in range(20)]
     places = ", ".join(f"A:LYS{n}" for n in range(8))
     given = [hydrogens, *changed, *lost, gap, waters, *many]
-    assert summarised(given) == (
+    assert summarise(given) == (
         *map(str, (waters, gap, *lost, *changed)),
         f"missing atoms added in 20 residues: {places} and 12 more",
         str(hydrogens),
     )
-    assert summarised(()) == () and summarised([waters, waters]) == (str(waters),)
-    assert summarised([gap, gap])[0].startswith(
+    assert summarise(()) == () and summarise([waters, waters]) == (str(waters),)
+    assert summarise([gap, gap])[0].startswith(
         "split at 2 gaps in the chains, with charged termini: A:3-5A (5.0"
     )
 
 
 def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():
-    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": KEEP_ALL})
     said = "3 waters left out: the solvent is implicit; {} keeps everything"
     assert str(waters) == said.format('keep="all"')
-    for words in (waters.told(as_option), *summarised([waters], as_option)):
+<<<<<<< HEAD
+    for words in (waters.told(as_option), *summarise([waters], as_option)):
+=======
+    for words in (waters.sentence(as_option), *summarise([waters], as_option)):
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
         assert words == said.format("--keep all")
 
 

@@ -164,7 +164,7 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
 
 def test_half_a_disulfide_without_the_other_is_named():
     alone = chain("CYS", "CYS")
-    alone[1].given = alone[2].given = "CYX"
+    alone[1].raw_name = alone[2].raw_name = "CYX"
     draft = Draft("x", "x", [Part("A", alone)])
     done = protonated(draft, 7.0, [(alone[2], alone[2])])
     assert [template.name for _, template in done][1:3] == ["CYS", "CYX"]

@@ -8,7 +8,7 @@ from fixtures.repairs import kinds, sentences
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
-from protochain.structure.molecule.header import settle
+from protochain.structure.molecule.header import update_entities
 from protochain.structure.molecule.member import atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import archive_parent
@@ -434,7 +434,7 @@ def test_an_entity_that_names_a_chain_twice_is_one():
     for residue in st[0][0]:
         residue.entity_type = gemmi.EntityType.NonPolymer
     st.entities[0].subchains = [*st.entities[0].subchains] * 2
-    settle(st, whole=True)
+    update_entities(st, whole=True)
     assert st.entities[0].subchains == ["Axp"]
 
 

@@ -14,7 +14,7 @@ from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import (
     centres,
     changed_stereocentres,
-    handedness,
+    chirality,
     inverted_atoms,
     volume,
 )
@@ -22,18 +22,18 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.templates import templates
 from protochain.structure.preparation.prepare import read
 from protochain.structure.sidechains import arms, packing
-from protochain.structure.sidechains.arms import wrapped
+from protochain.structure.sidechains.arms import wrap_angle
 from protochain.structure.sidechains.ideal import (
     beta_carbon,
-    bridged,
+    bridge_gaps,
+    build_atoms,
     conformers,
     fixed_chi,
-    grown,
     ideal,
-    placed,
+    place_points,
     unit,
 )
-from protochain.structure.sidechains.packing import Choices, choosable, packed
+from protochain.structure.sidechains.packing import Choices, candidate_conformers, pack
 from protochain.structure.sidechains.packing_energies import Kinds, rarity, table
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.structure.sidechains.sites import Site
@@ -61,7 +61,7 @@ def test_points_are_placed_at_a_distance_an_angle_and_dihedrals():
     random = np.random.default_rng(3)
     a, b, c = random.normal(size=(3, 3))
     turns = np.deg2rad([-120.0, 0.0, 75.0])
-    x = placed(a, b, c, 1.5, np.deg2rad(110.0), turns)
+    x = place_points(a, b, c, 1.5, np.deg2rad(110.0), turns)
     assert np.linalg.norm(x - c, axis=1) == pytest.approx(1.5)
     assert unit(x - c) @ unit(b - c) == pytest.approx(np.cos(np.deg2rad(110.0)))
     assert dihedral(a, b, c, x) == pytest.approx(turns)
@@ -83,7 +83,7 @@ def test_branches_and_dihedrals_of_ideal_residues_repeat_their_positions(name):
     geometry = ideal(name)
     for branch in geometry.branches:
         a, b, c = (geometry.x[each] for each in branch.before)
-        (x,) = placed(a, b, c, branch.length, branch.angle, np.array([branch.dihedral]))
+        (x,) = place_points(a, b, c, branch.length, branch.angle, np.array([branch.dihedral]))
         assert x == pytest.approx(geometry.x[branch.name], abs=1e-6)
         assert set(branch.before[1:]) <= geometry.within(branch.name, 2)
     quartets = residues.CHI.get(name, ())
@@ -198,11 +198,11 @@ def backbone(name):
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("GLY", "PRO")])
 def test_side_chains_grow_with_the_dihedrals_given(name):
     chi, _ = conformers(name)
-    made = grown(name, backbone(name), chi)
+    made = build_atoms(name, backbone(name), chi)
     assert set(made) == set(ideal(name).x) - {"N", "CA", "C", "O"}
     at = backbone(name) | made
     for k, quartet in enumerate(residues.CHI.get(name, ())[: chi.shape[1]]):
-        off = wrapped(dihedral(*(at[n] for n in quartet)) - chi[:, k])
+        off = wrap_angle(dihedral(*(at[n] for n in quartet)) - chi[:, k])
         assert off == pytest.approx(0.0, abs=1e-6)
     for centre, beside in centres(name).items():
         x = [np.broadcast_to(at[n], (len(chi), 3)) for n in (centre, *beside)]
@@ -211,23 +211,27 @@ def test_side_chains_grow_with_the_dihedrals_given(name):
         apart = np.linalg.norm(at[branch.name] - at[branch.before[2]], axis=1)
         assert apart == pytest.approx(branch.length, abs=1e-6)
     whole = {n: np.broadcast_to(x, (len(chi), 3))[-1] for n, x in at.items()}
-    assert grown(name, whole, chi) == {}
+    assert build_atoms(name, whole, chi) == {}
     fixed = fixed_chi(name, whole)
-    assert all(wrapped(fixed[k] - chi[-1, k]) == pytest.approx(0.0, abs=1e-6) for k in range(chi.shape[1]))
+    assert all(wrap_angle(fixed[k] - chi[-1, k]) == pytest.approx(0.0, abs=1e-6) for k in range(chi.shape[1]))
 
 
 def test_atoms_in_place_decide_their_dihedrals_and_what_hangs_beside_them():
     chi, _ = conformers("LYS")
-    one = {n: np.array(x[4]) for n, x in grown("LYS", backbone("LYS"), chi).items()}
+    one = {n: np.array(x[4]) for n, x in build_atoms("LYS", backbone("LYS"), chi).items()}
     known = backbone("LYS") | {n: one[n] for n in ("CB", "CG", "CD")}
     fixed = fixed_chi("LYS", known)
-    assert set(fixed) == {0, 1} and wrapped(np.array([fixed[0], fixed[1]]) - chi[4, :2]) == degrees(0, 0)
+    assert set(fixed) == {0, 1} and wrap_angle(np.array([fixed[0], fixed[1]]) - chi[4, :2]) == degrees(0, 0)
+<<<<<<< HEAD
     assert set(grown("LYS", known, chi)) == {"CE", "NZ"} and fixed_chi("LYS", backbone("LYS")) == {}
+=======
+    assert set(build_atoms("LYS", known, chi)) == {"CE", "NZ"} and fixed_chi("LYS", backbone("LYS")) == {}
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
     for name, there, gone in (("VAL", "CG2", "CG1"), ("LEU", "CD2", "CD1"), ("ASP", "OD2", "OD1")):
         geometry = ideal(name)
         known = {n: x for n, x in geometry.x.items() if n != gone}
         chi, _ = conformers(name)
-        built = grown(name, known, chi)[gone]
+        built = build_atoms(name, known, chi)[gone]
         assert there in known and built == pytest.approx(np.tile(geometry.x[gone], (len(chi), 1)), abs=1e-6)
         last = len(geometry.chi) - 1
         assert fixed_chi(name, known)[last] == pytest.approx(geometry.chi[last])
@@ -255,7 +259,7 @@ def test_the_beta_carbon_follows_its_backbone_wherever_it_is():
 )  # fmt: skip
 def test_atoms_between_others_are_fitted_to_them(name, gone, built):
     geometry = ideal(name)
-    found = bridged(name, {n: x for n, x in geometry.x.items() if n not in gone})
+    found = bridge_gaps(name, {n: x for n, x in geometry.x.items() if n not in gone})
     assert set(found) == set(built)
     for atom_name, x in found.items():
         limit = 0.02 if len(built) == 1 else 0.6
@@ -266,7 +270,7 @@ def test_atoms_between_others_are_fitted_to_them(name, gone, built):
 
 
 def test_angles_are_wrapped_and_disulfides_gain():
-    assert wrapped(np.array([0.5, 2 * np.pi - 0.1, -4.0, 3 * np.pi])) == pytest.approx(
+    assert wrap_angle(np.array([0.5, 2 * np.pi - 0.1, -4.0, 3 * np.pi])) == pytest.approx(
         [0.5, -0.1, 2 * np.pi - 4.0, -np.pi]
     )
     sulphurs = np.array([2.05, 2.2, 1.9, 4.0])
@@ -326,17 +330,21 @@ def test_kinds_are_those_of_hydrogens_bonds_and_rings(name):
 
 def test_conformers_unlike_the_atoms_in_place_cost():
     chi, frequency = rotamers("LEU")
-    bare_chi, cost = choosable(Site(made("LEU", backbone("LEU")), 1, None, None))
+    bare_chi, cost = candidate_conformers(Site(made("LEU", backbone("LEU")), 1, None, None))
     n, turn = len(chi), np.deg2rad(9.0)
     turned = np.repeat(chi, 3, axis=0)
     turned[:, 0] += np.tile([0.0, -turn, turn], n)
     strain = np.tile([0.0, 0.5, 0.5], n) * (9.0 / 9.5) ** 2
     rare = 0.7 * 2.0 * np.log(frequency[0] / frequency)
     assert bare_chi == pytest.approx(turned) and cost == pytest.approx(np.repeat(rare, 3) + strain)
-    grew = {n: x[1] for n, x in grown("LEU", backbone("LEU"), chi + np.deg2rad(10.0)).items()}
+    grew = {n: x[1] for n, x in build_atoms("LEU", backbone("LEU"), chi + np.deg2rad(10.0)).items()}
     known = backbone("LEU") | {n: grew[n] for n in ("CB", "CG")}
+<<<<<<< HEAD
     _, strained = choosable(Site(made("LEU", known), 1, None, None))
-    off = wrapped(bare_chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
+=======
+    _, strained = candidate_conformers(Site(made("LEU", known), 1, None, None))
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
+    off = wrap_angle(bare_chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
     assert strained - cost == pytest.approx(0.5 * off**2, abs=1e-4) and (strained - cost)[3] < 0.13
 
 
@@ -347,7 +355,7 @@ def test_rotamers_cost_by_how_rare_they_are():
 
 
 def test_cysteines_turn_in_steps_of_ten_degrees():
-    chi, cost = choosable(Site(made("CYS", backbone("CYS")), 1, None, None))
+    chi, cost = candidate_conformers(Site(made("CYS", backbone("CYS")), 1, None, None))
     assert chi[:, 0] == degrees(*range(-180, 180, 10))
     rotamer = np.rad2deg(rotamers("CYS")[0][0, 0])
     assert np.rad2deg(chi[np.argmin(cost), 0]) == pytest.approx(rotamer, abs=5.1)
@@ -438,24 +446,24 @@ def test_no_other_choice_costs_less(seed):
 def test_a_conformer_that_overlaps_is_not_taken():
     alone = made("SER", backbone("SER"))
     site = Site(alone, 1, None, None)
-    (free,) = packed([alone], [site]).places
-    assert set(free) == {"CB", "OG"} and packed([alone], []).places == []
+    (free,) = pack([alone], [site]).places
+    assert set(free) == {"CB", "OG"} and pack([alone], []).places == []
     water = made("HOH", {"O": free["OG"], "H1": [0, 0, 0]}, 2)
-    (moved,) = packed([alone, water], [site]).places
+    (moved,) = pack([alone, water], [site]).places
     assert moved["CB"] == pytest.approx(free["CB"]) and np.linalg.norm(moved["OG"] - free["OG"]) > 2.0
     # Its hydrogens alone would not matter.
     water.atoms = [atom("H", "H", free["OG"].tolist())]
-    (again,) = packed([alone, water], [site]).places
+    (again,) = pack([alone, water], [site]).places
     assert again["OG"] == pytest.approx(free["OG"])
     mirrored = made("SER", {n: -x for n, x in backbone("SER").items()})
-    (d,) = packed([mirrored], [Site(mirrored, -1, None, None)]).places
+    (d,) = pack([mirrored], [Site(mirrored, -1, None, None)]).places
     assert all(d[n] == pytest.approx(-free[n]) for n in free)
 
 
 def test_rotation_adds_to_a_dihedral():
     a, start, end = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
     x = np.array([[[0.5, 0.5, 2.0]], [[0.5, 0.5, 2.0]]])
-    turned = arms.rotated(x, start, end, np.deg2rad([90.0, -45.0]))
+    turned = arms.rotate(x, start, end, np.deg2rad([90.0, -45.0]))
     assert np.rad2deg(dihedral(a, start, end, turned[:, 0])) == pytest.approx([135.0, 0.0], abs=1e-9)
     assert turned[0, 0] == pytest.approx([-0.5, 0.5, 2.0])
 
@@ -473,13 +481,13 @@ def mirrored(at):
 def test_hands_are_signs_of_volumes():
     x = np.array(list(L_ALANINE.values()))
     assert volume(x) == 1.0 and volume(np.stack([x, x[[0, 2, 1, 3]], 2 * x + 7])).tolist() == [1, -1, 8]
-    assert handedness(made("ALA", L_ALANINE)) == 1 and handedness(made("ALA", mirrored(L_ALANINE))) == -1
-    assert handedness(made("GLY", {n: L_ALANINE[n] for n in ("CA", "N", "C")})) == 0
+    assert chirality(made("ALA", L_ALANINE)) == 1 and chirality(made("ALA", mirrored(L_ALANINE))) == -1
+    assert chirality(made("GLY", {n: L_ALANINE[n] for n in ("CA", "N", "C")})) == 0
     threonine = L_ALANINE | {"OG1": [0, 1, 2], "CG2": [1, 0, 2]}
-    assert handedness(made("THR", threonine), "CB") == int(
+    assert chirality(made("THR", threonine), "CB") == int(
         np.sign(np.linalg.det(np.array([[0, 0, -1.0], [0, 1, 1], [1, 0, 1]])))
     )
-    assert handedness(made("SER", threonine), "CB") == 0
+    assert chirality(made("SER", threonine), "CB") == 0
     assert set(centres("THR")) == set(centres("ILE")) == {"CA", "CB"} and set(centres("VAL")) == {"CA"}
 
 

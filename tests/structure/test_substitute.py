@@ -8,16 +8,16 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.chains.hinges import find_hinges
 from protochain.core.arrays import dihedral
-from protochain.structure.molecule.chirality import with_mirror_images, wrong_atoms
+from protochain.structure.molecule.chirality import with_mirror_images, wrong_centres
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.substitute import substituted
+from protochain.structure.substitute import substitute
 
 LYSOZYME = STRUCTURES / "1hel.pdb"
 
 
 def inverted(structure):
-    return wrong_atoms(structure, structure.positions, structure.mirrored).tolist()
+    return wrong_centres(structure, structure.positions, structure.mirrored).tolist()
 
 
 def chi1(structure):
@@ -33,7 +33,7 @@ def residue(structure, place):
 @pytest.mark.parametrize("name", ["3i40.pdb", "1ysa.pdb"])
 def test_a_structure_in_which_nothing_is_replaced_is_the_same(name):
     s = load(name)
-    same = substituted(s, {})
+    same = substitute(s, {})
     assert same.fingerprint == s.fingerprint and np.array_equal(same.positions, s.positions)
     assert same.repairs == s.repairs and same.residue_label == s.residue_label
     assert np.array_equal(same.origin.place, s.origin.place)
@@ -43,7 +43,7 @@ def test_a_structure_in_which_nothing_is_replaced_is_the_same(name):
 def test_a_mutant_has_the_atoms_of_its_residue_and_all_others_where_they_were(name):
     s = load("1hel.pdb")
     r = residue(s, "A:56")
-    m = substituted(s, {r: name})
+    m = substitute(s, {r: name})
     assert m.residue_name[r] == name and m.n_residues == s.n_residues
     before, after = (each.atom_residue != r for each in (s, m))
     assert np.array_equal(s.positions[before], m.positions[after])
@@ -57,7 +57,7 @@ def test_a_mutant_has_the_atoms_of_its_residue_and_all_others_where_they_were(na
 
 def test_a_disulfide_bond_that_loses_a_cysteine_leaves_the_other_reduced():
     s = load("1hel.pdb")
-    m = substituted(s, {residue(s, "A:6"): "ALA"})
+    m = substitute(s, {residue(s, "A:6"): "ALA"})
     assert "HG" in m.atom_name[m.atom_residue == residue(m, "A:127")].tolist()
     sulphur = [(m.atom_name[b] == "SG").all() for b in m.bonds]
     assert sum(sulphur) == 3
@@ -67,7 +67,7 @@ def test_d_amino_acids_become_others_of_their_hand():
     s = pc.Setup(sequence="AAA").load(pc.from_sequence("GGG"))
     mirror = s.with_positions(s.positions * [1, 1, -1])
     d = with_mirror_images(mirror)
-    m = substituted(d, {1: "LEU"})
+    m = substitute(d, {1: "LEU"})
     assert m.residue_name_in_file.tolist() == ["DAL", "DLE", "DAL"] and not inverted(m)
 
 

@@ -10,7 +10,7 @@ from fixtures.repairs import noted
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.structure.molecule.header import take_header
+from protochain.structure.molecule.header import read_header
 from protochain.structure.write import as_text, check_fits, check_format, common_suffix
 
 RING_PDB = """\
@@ -88,7 +88,7 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
     crystal = gemmi.Structure()
     crystal.add_model(gemmi.Model(1))
     crystal.cell.set(20.0, 30.0, 40.0, 90.0, 90.0, 90.0)
-    celled = as_text(replace(ring(), header=take_header(crystal)), ".cif")
+    celled = as_text(replace(ring(), header=read_header(crystal)), ".cif")
     assert celled.count("_cell.length_a") == 1 and "_cell.length_b 30\n" in celled
 
 

@@ -11,7 +11,7 @@ from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.member import Member
-from protochain.structure.molecule.model import BoundLigand, Structure, of_atoms
+from protochain.structure.molecule.model import BoundLigand, Structure, per_structure
 from protochain.structure.molecule.residues import NUCLEOTIDES, Atom
 from protochain.structure.molecule.sugars import letters_of, sugar_centres
 
@@ -45,7 +45,7 @@ def volume(x: Floats) -> Floats:
     return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
 
 
-def handedness(member: Member, centre: str = "CA", least: float = 0.0) -> int:
+def chirality(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in D, 0 if atoms lack or it is flatter (nm^3)."""
     # An atom that is not bonded to it counts as missing, as CB of a peptoid.
     neighbours = centres(member.name).get(centre, ())
@@ -62,7 +62,7 @@ def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
         Atom(centre, member.residue)
         for member in members
         for centre in centres(member.name)
-        if handedness(member, centre) == (1 if member.is_d else -1)
+        if chirality(member, centre) == (1 if member.is_d else -1)
     ]
 
 
@@ -72,15 +72,15 @@ def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) ->
     if not len(atoms):
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
-    return atoms_named(structure, atoms[flipped, 0])
+    return atom_names(structure, atoms[flipped, 0])
 
 
-def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
+def atom_names(structure: Structure, atoms: Integers) -> list[str]:
     """Name atoms (n,) of a structure, as :func:`changed_stereocentres` does."""
     return [str(structure.atom(atom)) for atom in atoms.tolist()]
 
 
-def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
+def wrong_centres(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
     """Find the chiral atoms (n,) at x (na, 3), nm, that are not L, or not D where ``mirrored`` (nr,)."""
     atoms = chiral_atoms(structure)
     signs = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
@@ -106,7 +106,7 @@ def with_mirror_images(structure: Structure) -> Structure:
     return replace(structure, mirrored=mirrored)
 
 
-@of_atoms
+@per_structure
 def chiral_atoms(structure: Structure) -> Integers:
     """(n, 4) int: chiral atoms and three neighbours, whose volume is positive, but negative in ``mirrored``.
 

@@ -11,14 +11,14 @@ from protochain.structure.molecule import residues
 if TYPE_CHECKING:
     import pandas as pd
 
-Named = tuple[str, str, list[int | None]]
+NamedDihedral = tuple[str, str, list[int | None]]
 """Kind of a hinge, name of the dihedral, and its four atoms; None for one that is not there."""
 _SHOWN = ("phi", "psi", "omega", *(f"chi{k}" for k in range(1, 6)))
 
 
 def finder(
     structure: Any, kinds: Collection[str]
-) -> tuple[list[dict[str, int]], Callable[[int], list[Named]]]:
+) -> tuple[list[dict[str, int]], Callable[[int], list[NamedDihedral]]]:
     """Atoms of each residue by name, and what finds the dihedrals of these kinds of a residue."""
     index = [dict[str, int]() for _ in range(structure.n_residues)]
     places = zip(structure.atom_name.tolist(), structure.atom_residue.tolist(), strict=True)
@@ -32,7 +32,7 @@ def finder(
             return None
         return index[other].get(name.rstrip("+-"))
 
-    def found(r: int) -> list[Named]:
+    def found(r: int) -> list[NamedDihedral]:
         psi = residues.PSI_TERMINAL if atom_at(r, "N+") is None else residues.PSI
         table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI), ("psi", "psi", psi)]
         table.append(("omega", "omega", residues.OMEGA))

@@ -24,7 +24,7 @@ _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
 
 
-def take_header(structure: gemmi.Structure, records: str = "") -> str:
+def read_header(structure: gemmi.Structure, records: str = "") -> str:
     """Give every residue its label ids, where the file does not, and return what the file says."""
     structure.setup_entities()
     structure.assign_label_seq_id()
@@ -59,7 +59,7 @@ def with_header(header: str) -> gemmi.Structure:
     return out
 
 
-def settle(out: gemmi.Structure, *, whole: bool) -> None:
+def update_entities(out: gemmi.Structure, *, whole: bool) -> None:
     """Make entities and secondary structure those of the residues that are there."""
     there: dict[str, list[gemmi.Residue]] = {}
     for model in out:

@@ -31,8 +31,8 @@ class Link:
 
     member: Member
     atom: gemmi.Atom
-    other: Member  # Kept beside the protein.
-    other_atom: gemmi.Atom
+    hetero: Member  # Kept beside the protein.
+    hetero_atom: gemmi.Atom
     stated: bool = False  # Whether the file states a bond.
 
     def __str__(self) -> str:
@@ -41,21 +41,21 @@ class Link:
     @property
     def atoms(self) -> tuple[Atom, Atom]:
         """What a file calls the atoms."""
-        return Atom(self.atom.name, self.member.residue), Atom(self.other_atom.name, self.other.residue)
+        return Atom(self.atom.name, self.member.residue), Atom(self.hetero_atom.name, self.hetero.residue)
 
     @property
     def is_metal(self) -> bool:
         """Whether a metal is bonded."""
-        return is_metal(self.other_atom.element.name)
+        return is_metal(self.hetero_atom.element.name)
 
     @property
     def is_coordinated(self) -> bool:
         """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
-        usual = _OXYGEN_DISTANCE.get(self.other_atom.element.name, _OTHER_METAL)
+        usual = _OXYGEN_DISTANCE.get(self.hetero_atom.element.name, _OTHER_METAL)
         if self.stated or self.length < usual - _TOO_NEAR:
             return self.length >= usual - _TOO_NEAR
         slack = _SLACK.get("N" if self._is_carbonyl else self.atom.element.name)
-        if (self.atom.name, self.other_atom.element.name) == ("SD", "Cu"):
+        if (self.atom.name, self.hetero_atom.element.name) == ("SD", "Cu"):
             slack = _AXIAL
         # An amide nitrogen of the chain has no free pair of electrons.
         is_amide = self.atom.name == "N" and bool(self.member.atom("CA"))
@@ -71,22 +71,22 @@ class Link:
     @property
     def length(self) -> float:
         """Distance, angstrom."""
-        return float(self.atom.pos.dist(self.other_atom.pos))
+        return float(self.atom.pos.dist(self.hetero_atom.pos))
 
     @property
     def excess(self) -> float:
         """Distance beyond the usual one of a covalent bond, angstrom."""
-        return self.length - usual_length(self.atom.element.name, self.other_atom.element.name)
+        return self.length - usual_length(self.atom.element.name, self.hetero_atom.element.name)
 
     @property
     def ends(self) -> tuple[int, int]:
         """``id`` of the atoms."""
-        return id(self.atom), id(self.other_atom)
+        return id(self.atom), id(self.hetero_atom)
 
     @property
     def owners(self) -> tuple[int, int]:
         """``id`` of the residues."""
-        return id(self.member), id(self.other)
+        return id(self.member), id(self.hetero)
 
 
 def is_metal(symbol: str) -> bool:

@@ -37,7 +37,7 @@ class Member:
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL  # Label ids of the file.
-    given: str = ""  # Its name in the file, where another.
+    raw_name: str = ""  # Its name in the file, where another.
     order: tuple[str, ...] = ()  # Names of its atoms, if those that are added have places among them.
 
     def __str__(self) -> str:

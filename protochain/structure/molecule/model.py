@@ -18,7 +18,7 @@ from protochain.core.markup import facts
 from protochain.ligands import Ligand
 from protochain.structure.molecule.header import Label
 from protochain.structure.molecule.links import is_metal
-from protochain.structure.molecule.repairs import Loss, Repair, summarised
+from protochain.structure.molecule.repairs import Loss, Repair, summarise
 from protochain.structure.molecule.residues import Atom, Residue, name_in_file
 
 if TYPE_CHECKING:
@@ -340,7 +340,7 @@ class Structure(Value):
     @cached_property
     def changes(self) -> tuple[str, ...]:
         """Summary of the repairs: losses first, alike changes in one line."""
-        return summarised(self.repairs)
+        return summarise(self.repairs)
 
     def describe_residue(self, residue: int) -> str:
         """Describe a residue: ``A:GLU17``."""
@@ -401,7 +401,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def of_atoms(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatenate[Structure, P], R]:
+def per_structure(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatenate[Structure, P], R]:
     """Keep what a function finds of a structure, whatever its positions, for all that share its atoms."""
 
     @wraps(find)
@@ -415,7 +415,7 @@ def of_atoms(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatena
     return found
 
 
-def at_positions(find: Callable[[Structure, Floats], R]) -> Callable[[Structure, Floats], R]:
+def per_positions(find: Callable[[Structure, Floats], R]) -> Callable[[Structure, Floats], R]:
     """Keep what a function finds at positions x (na, 3), those of the last two: start and end of a run."""
 
     @wraps(find)

@@ -16,10 +16,10 @@ from protochain.structure.molecule.residues import Atom
 
 _SHOWN = 8
 """Places named in a line that tells many changes."""
-EVERYTHING = Argument("keep", "all")
+KEEP_ALL = Argument("keep", "all")
 """How to keep what is left out."""
 
-Say = Callable[[Argument | Angle], str]
+Render = Callable[[Argument | Angle], str]
 """An argument, or angle, in the words of whoever reads: ``str`` in those of Python."""
 
 
@@ -293,7 +293,7 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Apart:
+class AtomDistance:
     """An atom, or two, and how far away or apart it is, angstrom."""
 
     atoms: tuple[Atom, ...]
@@ -304,7 +304,7 @@ class Apart:
 
 
 @dataclass(frozen=True)
-class Renamed:
+class AtomRename:
     """Name of an atom in the file, and that which it gets."""
 
     before: str
@@ -314,7 +314,7 @@ class Renamed:
         return f"{self.before} to {self.after}"
 
 
-class Why(StrEnum):
+class Reason(StrEnum):
     """Why atoms of a file are lost."""
 
     PARENT = "the force fields have only its standard parent"
@@ -334,7 +334,7 @@ class Why(StrEnum):
     @property
     def is_of_whole(self) -> bool:
         """Whether nothing stays of the residue."""
-        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.CHARGE, Why.DUMMY, Why.FAR)
+        return self in (Reason.BACKBONE, Reason.CAP, Reason.ELEMENT, Reason.CHARGE, Reason.DUMMY, Reason.FAR)
 
 
 @dataclass(frozen=True)
@@ -345,7 +345,7 @@ class Loss:
     number: str
     name: str
     atoms: tuple[str, ...]  # Names in the file.
-    why: Why
+    why: Reason
 
     def __str__(self) -> str:
         place = f"{self.chain}:{self.number} {self.name}"
@@ -371,12 +371,16 @@ class Repair(Value):
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
 
     def __str__(self) -> str:
-        return self.told()
+        return self.sentence()
 
     def __repr__(self) -> str:
         return f"<Repair {self.kind.name}: {self}>"
 
-    def told(self, say: Say = str) -> str:
+<<<<<<< HEAD
+    def told(self, say: Render = str) -> str:
+=======
+    def sentence(self, say: Render = str) -> str:
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
         """Tell it in a sentence."""
         return _filled(self.kind.value.one, self, say)
 
@@ -384,7 +388,7 @@ class Repair(Value):
 class _Form(Formatter):
     """Fills templates: a list's format is how many are shown, or ``and``; a count's, ``n`` and its word."""
 
-    def __init__(self, say: Say) -> None:
+    def __init__(self, say: Render) -> None:
         self.say = say
 
     def format_field(self, value: Any, spec: str) -> str:
@@ -400,11 +404,11 @@ class _Form(Formatter):
         return str(super().format_field(value, spec))
 
 
-def _filled(template: str, repair: Repair, say: Say) -> str:
+def _filled(template: str, repair: Repair, say: Render) -> str:
     return _Form(say).vformat(template, (), repair.facts)
 
 
-def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
+def summarise(repairs: Iterable[Repair], say: Render = str) -> tuple[str, ...]:
     """Summarise repairs."""
     groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
     for repair in repairs:
@@ -446,7 +450,7 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
     return "; ".join(f"{listed(names, _SHOWN)} {verb}" for names, verb in parts if names)
 
 
-def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
+def _group(repair: Repair, say: Render) -> tuple[Rank, str]:
     """Rank of a repair in the summary, and what it says, alike for those in one line."""
     one, many, rank = repair.kind.value
     if rank is Rank.GAP:
@@ -456,7 +460,7 @@ def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
     return rank, _filled(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, say)
 
 
-def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
+def _in_words(rank: Rank, what: str, alike: list[Repair], say: Render) -> str:
     """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
     if rank is Rank.HISTIDINE:
         of: dict[str, list[str]] = defaultdict(list)
@@ -464,7 +468,7 @@ def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
             of[each.facts["state"]].append(each.facts["residue"].place)
         return "HIS states: " + "; ".join(f"{state} {listed(of[state], _SHOWN)}" for state in sorted(of))
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
-        return alike[0].told(say)
+        return alike[0].sentence(say)
     if rank is Rank.GAP:
         gaps = [
             f"{each['last'].place}-{each['first'].number} ({each['length']:.1f} angstrom)"

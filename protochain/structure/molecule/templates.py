@@ -80,7 +80,7 @@ class Template:
         kept = {name: element for name, element in self.element.items() if name not in gone}
         return replace(self, element=kept, bonds=tuple(bond for bond in self.bonds if not {*bond} & {*gone}))
 
-    def exchanged(self, first: str, second: str) -> "Template":
+    def exchange(self, first: str, second: str) -> "Template":
         """Return the template with the names of two atoms of one element exchanged."""
         new = {first: second, second: first}
         return replace(
@@ -108,7 +108,7 @@ def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
     return {**own, **_phosphates(), **_amber()}
 
 
-def defined(user_files: Sequence[Path]) -> set[str]:
+def residue_names(user_files: Sequence[Path]) -> set[str]:
     """Names of the residues of force-field files."""
     return {*_read(user_files)}
 
@@ -312,7 +312,7 @@ def standard_name(name: str) -> tuple[str, str]:
     return _residue_names().get(name, name), ""
 
 
-def named(
+def name_by_atoms(
     given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Template], own: Collection[str] = ()
 ) -> tuple[str, str]:
     """Return what :func:`standard_name` does of a name that has this meaning with these atoms, or as given.

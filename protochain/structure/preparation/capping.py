@@ -79,7 +79,7 @@ class Maker:
                 self._without_far(tag)
         bonds = {}
         for link in self.links:
-            ends = (link.member, link.atom), (link.other, link.other_atom)
+            ends = (link.member, link.atom), (link.hetero, link.hetero_atom)
             first, second = (self.tag[id(m)] + a.name for m, a in ends)
             gone = self._join(first, second)
             parted = (each.split(":") for each in gone)
@@ -142,7 +142,7 @@ class Maker:
         tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
         is_standard = member.name in NUCLEOTIDES
         kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
-        both = [end for x in self.links for end in ((x.member, x.atom), (x.other, x.other_atom))]
+        both = [end for x in self.links for end in ((x.member, x.atom), (x.hetero, x.hetero_atom))]
         bonded = {a.name for m, a in both if m is member}
         is_first, is_last = not (before or "P" in bonded), not (after or "O3'" in bonded)
         ends = {(True, True): "N", (True, False): "5", (False, True): "3"}.get((is_first, is_last), "")

@@ -8,12 +8,12 @@ import numpy as np
 from protochain.core.arrays import Floats, dihedral
 from protochain.core.errors import StructureError
 from protochain.structure.molecule import residues
-from protochain.structure.molecule.chirality import centres, handedness, inverted_atoms
+from protochain.structure.molecule.chirality import centres, chirality, inverted_atoms
 from protochain.structure.molecule.member import Member, atom
-from protochain.structure.molecule.repairs import Kind, Renamed, Repair, Why
+from protochain.structure.molecule.repairs import AtomRename, Kind, Reason, Repair
 from protochain.structure.molecule.templates import Template, rename
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part, losses
-from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed, unit
+from protochain.structure.sidechains.ideal import Places, bridge_gaps, ideal, place_points, unit
 from protochain.structure.sidechains.sites import Site
 
 _ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
@@ -43,7 +43,7 @@ _STARTS = 8
 
 def add_heavy_atoms(draft: Draft) -> Changes:
     """Rename atoms to their PDB names, and build missing heavy atoms. Side chains are ideal rotamers."""
-    renamed: list[Renamed] = []
+    renamed: list[AtomRename] = []
     open_ended: list[Member] = []
     incomplete: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
@@ -55,7 +55,7 @@ def add_heavy_atoms(draft: Draft) -> Changes:
                     f"{draft.source}: {member}: the force field has no parameters for it{where}; remove it"
                 )
             renamed += [
-                Renamed(before, residues.Atom(after, member.residue))
+                AtomRename(before, residues.Atom(after, member.residue))
                 for before, after in rename(member.atoms, template)
             ]
             yield from _check_heavy_atoms(draft, member, template)
@@ -93,7 +93,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Chan
         )
     inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
     if inner:
-        lost = losses(member, inner, Why.INNER)
+        lost = losses(member, inner, Reason.INNER)
         yield Repair.of(Kind.INNER_OXT, lost, residue=member.residue)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
@@ -131,7 +131,7 @@ def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Cha
         if missing != ["O"]:
             sites.append(((yield from _site(part, i)), set(missing)))
     for site, _ in sites:
-        places = bridged(site.member.name, site.known)
+        places = bridge_gaps(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in places.items()})
     open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
     if open_ended:
@@ -143,9 +143,9 @@ def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Cha
 def _pack(draft: Draft, sites: list[Site]) -> Changes:
     """Build side chains on their best rotamers."""
     # Imported here because complete structures do not need its kernels.
-    from protochain.structure.sidechains.packing import packed
+    from protochain.structure.sidechains.packing import pack
 
-    packing = packed(draft.members, sites)
+    packing = pack(draft.members, sites)
     if not packing.is_proven:
         yield Repair.of(Kind.NOT_PROVEN)
     for site, places in zip(sites, packing.places, strict=True):
@@ -155,8 +155,8 @@ def _pack(draft: Draft, sites: list[Site]) -> Changes:
 def _site(part: Part, i: int) -> Generator[Repair, None, Site]:
     """Return a residue with its neighbours. CB, or else the name, determines the configuration."""
     member = part.members[i]
-    sign = handedness(member) or (-1 if member.is_d else 1)
-    if not handedness(member) and not member.is_d and _is_misnamed(part, i):
+    sign = chirality(member) or (-1 if member.is_d else 1)
+    if not chirality(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
         yield Repair.of(Kind.BUILT_AS_D, residue=member.residue)
     return Site(member, sign, *part.around(i))
@@ -167,7 +167,7 @@ def _is_misnamed(part: Part, i: int) -> bool:
     if _phi(part, i) <= 0.0:
         return False
     named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
-    return sum(handedness(part.members[k]) for k in named_l) < 0
+    return sum(chirality(part.members[k]) for k in named_l) < 0
 
 
 def _phi(part: Part, i: int) -> float:
@@ -198,7 +198,7 @@ def _check_chirality(draft: Draft, site: Site, added: set[str]) -> None:
     """Refuse atoms of the file that give built atoms the wrong chirality."""
     member = site.member
     for centre, neighbours in centres(member.name).items():
-        if added & {centre, *neighbours} and handedness(member, centre) == -site.sign:
+        if added & {centre, *neighbours} and chirality(member, centre) == -site.sign:
             raise StructureError(
                 f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
                 "correct the coordinates, or remove its side chain"
@@ -234,7 +234,7 @@ def _carbonyl_oxygen(draft: Draft, part: Part, i: int) -> Floats:
         arms = unit(at["CA"] - at["C"]) + unit(np.array(opposite.pos.tolist()) - at["C"])
         return at["C"] - _CARBONYL * unit(arms)
     turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
-    places = placed(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
+    places = place_points(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
     other_atoms = np.array(
         [a.pos.tolist() for m in draft.members for a in m.atoms if m is not member and not a.is_hydrogen()]
         + [at["N"].tolist()]

@@ -135,12 +135,12 @@ def _choose_states(
 ) -> Integers:
     """Return the states (n,) of lowest energy. The share of wrong sites sets the cost of a flip."""
     # Imported here: it imports numba, which would slow every start of the program.
-    from protochain.structure.sidechains.assignment import eliminated
+    from protochain.structure.sidechains.assignment import eliminate_sites
 
     share = _WRONG
     for _ in range(_ROUNDS):
         cost = _SCALE * float(np.log((1.0 - share) / share))
-        states = eliminated([e + cost * flip for e, flip in zip(energies, turned, strict=True)], pairs)
+        states = eliminate_sites([e + cost * flip for e, flip in zip(energies, turned, strict=True)], pairs)
         gains = _gains(energies, pairs, turned, states)
         probability = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
         counted = np.sort(probability)[:-_SPARED]

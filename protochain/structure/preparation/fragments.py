@@ -21,7 +21,7 @@ from protochain.structure.formats.records import with_component
 from protochain.structure.molecule.bonding import Graph
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member
-from protochain.structure.molecule.repairs import Kind, Loss, Repair, Why
+from protochain.structure.molecule.repairs import Kind, Loss, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
 from protochain.structure.preparation.capping import Maker, Place
@@ -59,7 +59,7 @@ def assign_chemistry(draft: Draft) -> Changes:
     cross += _amides(draft, where)
     for link in cross:
         link.member.links.append(link.atom)
-        link.other.links.append(link.other_atom)
+        link.hetero.links.append(link.hetero_atom)
     beside = [x for x in draft.links if not x.is_metal and x not in draft.contacts.sprung]
     beside += yield from _believe(_between(draft))
     bonds = beside + cross
@@ -87,7 +87,7 @@ def assign_chemistry(draft: Draft) -> Changes:
                     still.append(m)
             unknown += [(m, error) for m in members if m.is_unknown and not m.parent and m not in still]
             yield from _refuse_or_tie(draft, own, error)
-            why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
+            why = Reason.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Reason.PARENT
             for m in (m for m in members if m.parent):
                 yield from convert_to_parent(draft, m, why)
             continue
@@ -159,10 +159,10 @@ def _between(draft: Draft) -> Iterator[Link]:
     """Bonds that the file states between kept molecules, but of metals and known glycans."""
     parts = {id(m): part for part in draft.parts for m in part.members}
     for link in stated_hetero_links(draft):
-        (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
+        (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.hetero_atom.name}
         if (
             link.atom.element.is_metal or link.is_metal or (one.glycam_code and other.glycam_code)
-            or min(len(link.member.atoms), len(link.other.atoms)) == 1
+            or min(len(link.member.atoms), len(link.hetero.atoms)) == 1
             or (one is other and names == {"O3'", "P"})
         ):  # fmt: skip
             continue
@@ -188,8 +188,8 @@ def _is_whole(at: Place, member: Member, ends: set[str]) -> bool:
 
 def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.Atom]]:
     """Residue and atom of either end of a bond, with those of the other."""
-    yield link.member, link.atom, link.other, link.other_atom
-    yield link.other, link.other_atom, link.member, link.atom
+    yield link.member, link.atom, link.hetero, link.hetero_atom
+    yield link.hetero, link.hetero_atom, link.member, link.atom
 
 
 def _is_acyl(chemist: Chemist, member: Member, name: str) -> bool:
@@ -224,8 +224,8 @@ def _stated_across(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
             continue
         done.add(pair)
         link = Link(*there[first], *there[second], stated=True)
-        is_disulfide = link.member.name == link.other.name == "CYS" and first[2] == second[2] == "SG"
-        if link.member is not link.other and not is_disulfide:
+        is_disulfide = link.member.name == link.hetero.name == "CYS" and first[2] == second[2] == "SG"
+        if link.member is not link.hetero and not is_disulfide:
             yield link
 
 
@@ -252,7 +252,7 @@ def _refuse_or_tie(draft: Draft, links: Sequence[Link], error: Exception) -> Cha
     """Report bonds without parameters: springs hold those to molecules beside a chain, others are ignored."""
     beside = {id(m) for part in draft.parts if part.obstacle for m in part.members}
     for link in links:
-        if id(link.other) in beside:
+        if id(link.hetero) in beside:
             yield Repair.of(Kind.NO_PARAMETERS, atoms=link.atoms, why=error)
         elif link.stated:
             yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=error)
@@ -322,7 +322,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     for link, left in made.bonds.items():
         back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
         gone = [each for each in left if each not in back]
-        lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]
+        lost = [loss for m in (link.member, link.hetero) for loss in _lost(m, {n for o, n in gone if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in gone)
         yield Repair.of(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
     # A chain goes on through what both of its ends are bonded to, as GFP's through the chromophore.
@@ -357,4 +357,4 @@ def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:
     """Take atoms away from a residue, as far as the file has them."""
     gone = [a for a in member.atoms if a.name in names]
     member.atoms = [a for a in member.atoms if a.name not in names]
-    return losses(member, gone, Why.BONDED)
+    return losses(member, gone, Reason.BONDED)

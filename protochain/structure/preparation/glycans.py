@@ -18,7 +18,7 @@ from protochain.core.graph import components
 from protochain.structure.molecule.chirality import volume
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Address, Member
-from protochain.structure.molecule.repairs import Kind, Repair, Why
+from protochain.structure.molecule.repairs import Kind, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.sugars import (
     GLYCOSYLATED,
@@ -56,11 +56,11 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
     links = [link for part in sugars if (link := surroundings.link(part.members[0])) is not None]
     for link in links:
         yield from _remove_hydroxyl(link)
-    pairs = [(row[id(a)], row[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in row]
+    pairs = [(row[id(a)], row[id(b)]) for a, b in ((x.member, x.hetero) for x in links) if id(a) in row]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
     for g in range(group.max() + 1):
         glycan = [part for part, index in zip(sugars, group, strict=True) if index == g]
-        bonds = [link for link in links if any(link.other is part.members[0] for part in glycan)]
+        bonds = [link for link in links if any(link.hetero is part.members[0] for part in glycan)]
         if not bonds:
             continue
         codes = {id(part.members[0]): _sugar_code(part.members[0], bonds) for part in glycan}
@@ -69,11 +69,11 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
         if refusal:
             # Bonds found by geometry count as bonds that the file states.
             draft.stated += [
-                (x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in bonds
+                (x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds
             ]
             continue
         draft.glycosidic += [
-            (x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in bonds
+            (x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds
         ]
         facts: dict[str, Any] = {"count": len(glycan), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in bonds if id(link.member) not in row), None)
@@ -98,7 +98,7 @@ def _sugar_code(member: Member, links: Sequence[Link]) -> str:
     if anomeric_carbon(member.name) in _inverted_atoms(member, letters, links):
         letters = other_anomer(letters)
     bearing = [link.atom for link in links if link.member is member]
-    is_linked = any(link.other is member for link in links)
+    is_linked = any(link.hetero is member for link in links)
     hydroxyl = _hydroxyl(member)
     is_free = not is_linked and hydroxyl is not None and hydroxyl not in bearing
     return glycam_code(letters, (atom.name for atom in bearing)) + (_FREE if is_free else "")
@@ -111,9 +111,9 @@ def _hydroxyl(member: Member) -> gemmi.Atom | None:
 
 def _remove_hydroxyl(link: Link) -> Changes:
     """Remove the oxygen at an anomeric carbon if another bond replaces it."""
-    sugar, oxygen = link.other, _hydroxyl(link.other)
+    sugar, oxygen = link.hetero, _hydroxyl(link.hetero)
     if oxygen is not None:
-        lost = losses(sugar, [oxygen], Why.BONDED)
+        lost = losses(sugar, [oxygen], Reason.BONDED)
         sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
         removed = (f"{oxygen.name} of {sugar.name}",)
         yield Repair.of(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=removed)
@@ -121,7 +121,7 @@ def _remove_hydroxyl(link: Link) -> Changes:
 
 def _inverted_atoms(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
     """Yield the chiral atoms of a sugar whose configuration contradicts its letters."""
-    acceptor = next((link.atom for link in links if link.other is member), _hydroxyl(member))
+    acceptor = next((link.atom for link in links if link.hetero is member), _hydroxyl(member))
     for centre, ends in sugar_centres(letters).items():
         # The anomeric hydrogen may have no position yet. The link is on the opposite side.
         atoms = [acceptor if name == "H1" else member.atom(name) for name in (centre, *ends)]
@@ -195,7 +195,7 @@ class _Surroundings:
     ) -> Iterator[str]:
         """Yield the reasons why GLYCAM-06j cannot parametrise a glycan."""
         borne = Counter(id(link.atom) for link in links)
-        modelled = {frozenset((id(link.atom), id(link.other_atom))) for link in links}
+        modelled = {frozenset((id(link.atom), id(link.hetero_atom))) for link in links}
         for link in links:
             first, second = link.atoms
             if not self._bears(link.member, link.atom) or borne[id(link.atom)] > 1:
@@ -204,7 +204,7 @@ class _Surroundings:
                 yield f"the bond of {second} to {first} is {link.length:.2f} angstrom long"
         for member in members:
             code = codes[id(member)]
-            if not any(link.other is member for link in links) and code[0] != "1" and _FREE not in code:
+            if not any(link.hetero is member for link in links) and code[0] != "1" and _FREE not in code:
                 yield f"{anomeric_carbon(member.name)} of {member} is bonded to no other residue"
             if code.removesuffix(_FREE) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"

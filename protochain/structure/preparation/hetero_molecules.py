@@ -19,7 +19,7 @@ from protochain.structure.formats.ions import charge_cluster, has_known_charge
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Member, Unknown
-from protochain.structure.molecule.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
+from protochain.structure.molecule.repairs import KEEP_ALL, Count, Kind, Loss, Reason, Repair
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
 from protochain.structure.preparation.linkage import STATED
@@ -71,7 +71,7 @@ def choose_kept(draft: Draft) -> Changes:
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     # The chemistry of an amino acid in a chain may be given, too.
-    of_chains = {member.given or member.name for member in draft.members if member.is_unknown}
+    of_chains = {member.raw_name or member.name for member in draft.members if member.is_unknown}
     _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     strands = {
@@ -81,12 +81,12 @@ def choose_kept(draft: Draft) -> Changes:
     }  # fmt: skip
     near = _near(draft, usable, chemistry.moving, strands) if "near" in keep else set()
     chosen = []
-    gone: Counter[tuple[str, Why | None]] = Counter()
+    gone: Counter[tuple[str, Reason | None]] = Counter()
     lost: list[Loss] = []
     for candidate in candidates:
-        words = {"all", candidate.kind, candidate.member.name, candidate.given}
+        words = {"all", candidate.kind, candidate.member.name, candidate.raw_name}
         words |= {"nucleic"} if id(candidate) in strands else set()
-        is_given = candidate.given in chemistry.moving
+        is_given = candidate.raw_name in chemistry.moving
         # A result names what it kept, which may have come further away.
         if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
@@ -96,10 +96,10 @@ def choose_kept(draft: Draft) -> Changes:
             continue
         draft.absent.append(candidate.member)
         if not why and "near" in keep and candidate.kind != "water":
-            why = Why.FAR
+            why = Reason.FAR
         if why:
             lost += losses(candidate.member, candidate.member.atoms, why)
-        gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
+        gone[("waters" if candidate.kind == "water" else candidate.raw_name, why)] += 1
     for (kind, _), count in gone.items():
         yield Omission(kind, count)
     yield from _report_coincident([each.member for each in chosen])
@@ -107,7 +107,7 @@ def choose_kept(draft: Draft) -> Changes:
     draft.parts += yield from _classify(draft, chosen)
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
-        facts = {"counts": counts, "count": counts[0].n, "remedy": EVERYTHING}
+        facts = {"counts": counts, "count": counts[0].n, "remedy": KEEP_ALL}
         dry = any(count.kind != "waters" for count in counts)
         left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
         yield Repair(left, facts, tuple(lost))
@@ -123,7 +123,7 @@ def require_chain(draft: Draft) -> tuple[()]:
 
 def _about_rest(beside: Iterable[Candidate]) -> tuple[object, ...]:
     """What there is where there is no chain to work with, and what to do."""
-    kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
+    kinds = Counter("waters" if each.kind == "water" else each.raw_name for each in beside)
     each = [
         counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
         for kind, n in kinds.items()
@@ -131,8 +131,8 @@ def _about_rest(beside: Iterable[Candidate]) -> tuple[object, ...]:
     found = listed(each, 8)
     what = f"no protein found{found and f', only {found}'}; "
     if any(each.kind == "nucleic" for each in beside):
-        return what, "keep them by ", EVERYTHING
-    single = any(each.given in residues.STANDARD for each in beside)
+        return what, "keep them by ", KEEP_ALL
+    single = any(each.raw_name in residues.STANDARD for each in beside)
     return what, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
 
 
@@ -158,10 +158,10 @@ def _refuse_unknown_names(
     draft: Draft, candidates: Sequence[Candidate], asked: Sequence[str], why: str
 ) -> None:
     """Refuse the name of a residue that no molecule has: it would keep, or tell, nothing."""
-    names = {name for candidate in candidates for name in (candidate.given, candidate.member.name)}
+    names = {name for candidate in candidates for name in (candidate.raw_name, candidate.member.name)}
     unknown = next((word for word in asked if word not in KINDS and word not in names), None)
     if unknown is not None:
-        count = Counter("" if each.kind == "water" else each.given for each in candidates)
+        count = Counter("" if each.kind == "water" else each.raw_name for each in candidates)
         there = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_NAMED)]
         more = f" and {counted(len(count) - _NAMED, 'more kind')}" if len(count) > _NAMED else ""
         raise StructureError(
@@ -170,14 +170,14 @@ def _refuse_unknown_names(
         )
 
 
-def _why_unusable(member: Member) -> Why | None:
+def _why_unusable(member: Member) -> Reason | None:
     if member.name in _DUMMY:
-        return Why.DUMMY
+        return Reason.DUMMY
     if not all(atom.element.atomic_number for atom in member.atoms) or all(
         atom.is_hydrogen() for atom in member.atoms
     ):
-        return Why.ELEMENT
-    return Why.CHARGE if len(member.atoms) == 1 and not has_known_charge(member.atoms[0]) else None
+        return Reason.ELEMENT
+    return Reason.CHARGE if len(member.atoms) == 1 and not has_known_charge(member.atoms[0]) else None
 
 
 def _near(
@@ -190,7 +190,7 @@ def _near(
     # Of a file without protein, its nucleic acids.
     nucleic = [each.member for each in candidates if each.kind == "nucleic" or id(each) in strands]
     whole = draft.members or nucleic
-    whole = [*whole, *(each.member for each in candidates if each.given in given)]
+    whole = [*whole, *(each.member for each in candidates if each.raw_name in given)]
     protein = [a.pos.tolist() for member in whole for a in member.heavy]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
@@ -303,7 +303,7 @@ def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | O
                 elif not (is_ion or first.name in residues.NUCLEOTIDES):
                     part.evidence = Evidence.SMALL
         if fits and len(whole) > len(first.atoms):
-            lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
+            lost = losses(first, [atom for atom in whole if atom not in first.atoms], Reason.PHOSPHATE)
             yield Repair.of(Kind.PHOSPHATE, lost, residue=first.residue)
     return pieces
 
@@ -316,7 +316,7 @@ def _trim(part: Part) -> Changes:
         and all(atom.name in (*_PHOSPHATE, "O5'") for atom in part.members[-1].atoms)
     ):
         last = part.members.pop()
-        lost = losses(last, last.atoms, Why.BACKBONE)
+        lost = losses(last, last.atoms, Reason.BACKBONE)
         yield Repair.of(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 
@@ -374,8 +374,8 @@ def report_kept(draft: Draft) -> Changes:
     """Report the molecules that are kept."""
     its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
     if its:
-        counts = Counter("waters" if m.name == "HOH" else m.given or m.name for _, m in its).most_common()
-        bare = {m.given or m.name for part, m in its if m.template and not part.mobile}
+        counts = Counter("waters" if m.name == "HOH" else m.raw_name or m.name for _, m in its).most_common()
+        bare = {m.raw_name or m.name for part, m in its if m.template and not part.mobile}
         facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
         yield Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts)
 

@@ -62,7 +62,7 @@ def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]
         atoms.append(atom(called, gemmi.Element(int(z)).name, (x * ANGSTROM_PER_NM).tolist()))
         atoms[-1].charge = int(charge)
     posed = {**chemistry.posed, name: (molecule, charged)}
-    return replace(chemistry, posed=posed), Member(name, "1", "", chain, atoms, given=name)
+    return replace(chemistry, posed=posed), Member(name, "1", "", chain, atoms, raw_name=name)
 
 
 class Chemist:
@@ -81,7 +81,7 @@ class Chemist:
     def settle(self, part: Part) -> Changes:
         """Let a molecule move if its chemistry is known; a repair says why one is not."""
         (member,) = part.members
-        name = member.given or member.name
+        name = member.raw_name or member.name
         try:
             library("rdkit.Chem")
             molecule, charged = self._looked_up(name, member)
@@ -138,7 +138,7 @@ class Chemist:
 
     def name(self, member: Member) -> str:
         """Name by which the chemistry of a residue is looked up."""
-        return member.name if member.name in STANDARD else member.given or member.name
+        return member.name if member.name in STANDARD else member.raw_name or member.name
 
     def free(self, member: Member) -> Molecule:
         """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
@@ -301,7 +301,7 @@ def take_ligands(draft: Draft) -> Changes:
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
-        its, metals = member.residue, charged_metals(member, member.given or member.name, molecule.names)
+        its, metals = member.residue, charged_metals(member, member.raw_name or member.name, molecule.names)
         member.source = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
         charge |= {a.name: a.charge for a in metals}

@@ -79,10 +79,10 @@ def bonds_and_overlaps(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:
     """Tell bonds from overlaps: those of the file first, then those nearest to a usual length."""
     near = _Neighbourhood(draft)
     close = [pair for pair in pairs if pair.excess <= COVALENT_SLACK]
-    crowd = Counter(id(pair.other) for pair in close)
+    crowd = Counter(id(pair.hetero) for pair in close)
     likely = {pair for pair in close if not pair.stated and near.is_link(pair)}
     # Of a residue pushed into the protein, none of the close pairs is a bond; a heme may have two bonds.
-    crowd -= Counter(id(pair.other) for pair in close if pair.stated or pair in likely)
+    crowd -= Counter(id(pair.hetero) for pair in close if pair.stated or pair in likely)
     used: Counter[int] = Counter()
     bonded: list[Link] = []
     refused: list[tuple[Link, str]] = []
@@ -92,7 +92,7 @@ def bonds_and_overlaps(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:
             if reason:
                 refused.append((pair, reason))
                 continue
-        elif pair not in likely or crowd[id(pair.other)] or any(used[end] for end in pair.ends):
+        elif pair not in likely or crowd[id(pair.hetero)] or any(used[end] for end in pair.ends):
             continue
         used.update(pair.ends)
         bonded.append(pair)
@@ -127,35 +127,35 @@ class _Neighbourhood:
         """Why a bond that the file states cannot be; empty if it can."""
         if pair.length < SHORTEST or pair.excess > STATED_SLACK:
             return f"it is {pair.length:.2f} angstrom long"
-        heavy = sum(not a.is_hydrogen() for a in self._its(pair.other, pair.other_atom))
-        free = _MOST.get(pair.other_atom.element.name, 1) - heavy
-        for member, atom, left in ((pair.member, pair.atom, 1), (pair.other, pair.other_atom, free)):
+        heavy = sum(not a.is_hydrogen() for a in self._its(pair.hetero, pair.hetero_atom))
+        free = _MOST.get(pair.hetero_atom.element.name, 1) - heavy
+        for member, atom, left in ((pair.member, pair.atom, 1), (pair.hetero, pair.hetero_atom, free)):
             if used[id(atom)] >= left:
                 return f"{atom.name} of {member} has no valence left for it"
         return ""
 
     def is_link(self, pair: Link) -> bool:
         """Whether a pair is a known kind of link, of atoms that lack a neighbour, at usual angles."""
-        mine, its = self._mine(pair.member, pair.atom), self._its(pair.other, pair.other_atom)
+        mine, its = self._mine(pair.member, pair.atom), self._its(pair.hetero, pair.hetero_atom)
         return (
             abs(pair.excess) <= COVALENT_SLACK
             # A nucleotide has all its atoms.
-            and pair.other.template is not None
+            and pair.hetero.template is not None
             and self._is_known(pair, its)
             and sum(a.is_hydrogen() for a in mine) <= _HYDROGENS_LEFT.get(pair.atom.name, 0)
             and (pair.atom.name != "SG" or len(mine) == 1)
-            and len(pair.other.template.neighbours(pair.other_atom.name) - {a.name for a in its}) == 0
-            and _lacks_neighbour(pair.other_atom, its)
-            and is_usual(mine, pair.atom, pair.other_atom)
-            and is_usual(its, pair.other_atom, pair.atom)
+            and len(pair.hetero.template.neighbours(pair.hetero_atom.name) - {a.name for a in its}) == 0
+            and _lacks_neighbour(pair.hetero_atom, its)
+            and is_usual(mine, pair.atom, pair.hetero_atom)
+            and is_usual(its, pair.hetero_atom, pair.atom)
         )
 
     def _is_known(self, pair: Link, its: Sequence[gemmi.Atom]) -> bool:
-        member, name, element = pair.member, pair.atom.name, pair.other_atom.element.name
+        member, name, element = pair.member, pair.atom.name, pair.hetero_atom.element.name
         kinds = KINDS.get((member.name, name), frozenset())
         if SUGAR in kinds and element == "C":
             ethers = (a for a in its if a.element.name == "O")
-            return any(len([b for b in self._its(pair.other, a) if not b.is_hydrogen()]) > 1 for a in ethers)
+            return any(len([b for b in self._its(pair.hetero, a) if not b.is_hydrogen()]) > 1 for a in ethers)
         if name == "N" and id(member) in self.first:
             kinds = _AT_N
         elif name == "C" and id(member) in self.last and not member.atom("OXT"):

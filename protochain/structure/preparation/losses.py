@@ -5,7 +5,7 @@ from textwrap import shorten
 from typing import Any
 
 from protochain.core import defaults
-from protochain.structure.molecule.repairs import EVERYTHING, Loss, Say, Why
+from protochain.structure.molecule.repairs import KEEP_ALL, Loss, Reason, Render
 
 _WIDTH = 200
 """Characters of the report of one structure."""
@@ -15,25 +15,25 @@ _SHOWN = 8
 
 def lost_atoms(losses: Iterable[Loss]) -> list[str]:
     """Residues that lack atoms, and which, as in a record."""
-    return [str(loss) for loss in losses if loss.why is not Why.FAR]
+    return [str(loss) for loss in losses if loss.why is not Reason.FAR]
 
 
 def n_lost(losses: Iterable[Loss]) -> int:
     """Number of their atoms."""
-    return sum(len(loss.atoms) for loss in losses if loss.why is not Why.FAR)
+    return sum(len(loss.atoms) for loss in losses if loss.why is not Reason.FAR)
 
 
 def far_molecules(losses: Iterable[Loss]) -> list[str]:
     """Molecules that are left out because they are far from the protein, as in a record."""
-    return [str(loss) for loss in losses if loss.why is Why.FAR]
+    return [str(loss) for loss in losses if loss.why is Reason.FAR]
 
 
-def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
+def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Render = str) -> list[str]:
     """Tell at the end of a run what its structures lost."""
     of = {str(row.get("structure")): row for row in rows}
     lines = []
     for key, what in _COLUMNS.items():
-        remedy = f"; {say(EVERYTHING)} keeps them" if key == "far_molecules" else ""
+        remedy = f"; {say(KEEP_ALL)} keeps them" if key == "far_molecules" else ""
         cells = {name: row.get(key) for name, row in of.items()}
         texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
         told = {name: text for name, text in texts.items() if isinstance(text, str) and text}

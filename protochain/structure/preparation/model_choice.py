@@ -13,7 +13,7 @@ from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
 from protochain.structure.formats.chain_splitting import chain_names, refuse_copies
 from protochain.structure.formats.files import in_file_order, number_atoms
-from protochain.structure.molecule.header import take_header
+from protochain.structure.molecule.header import read_header
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import STANDARD, STATE_PARENT, Atom, Residue
 from protochain.structure.molecule.templates import templates
@@ -98,7 +98,7 @@ def _are_copies(structure: gemmi.Structure) -> bool:
 def choose_model(draft: Draft) -> Changes:
     """Use the model that is asked for, or the first; report the others."""
     structure, number = draft.file, draft.reading.model
-    draft.header = take_header(structure, draft.header)
+    draft.header = read_header(structure, draft.header)
     numbers = [model.num for model in structure]
     refuse_absent(draft.source, numbers, [] if number is None else [number])
     if len(structure) > 1:

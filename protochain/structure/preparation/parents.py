@@ -2,9 +2,9 @@
 
 import gemmi
 
-from protochain.structure.molecule.chirality import WELL_FORMED, handedness
+from protochain.structure.molecule.chirality import WELL_FORMED, chirality
 from protochain.structure.molecule.member import Member
-from protochain.structure.molecule.repairs import Kind, Repair, Why
+from protochain.structure.molecule.repairs import Kind, Reason, Repair
 from protochain.structure.molecule.residues import name_in_file
 from protochain.structure.molecule.templates import archive_parent, other_names
 from protochain.structure.preparation.structure_draft import Changes, Draft, losses
@@ -15,7 +15,7 @@ def fullest(name: str) -> str:
     return "HIP" if name == "HIS" else name
 
 
-def convert_to_parent(draft: Draft, member: Member, why: Why) -> Changes:
+def convert_to_parent(draft: Draft, member: Member, why: Reason) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
     residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
     usual = draft.templates[fullest(parent)]
@@ -34,14 +34,14 @@ def convert_to_parent(draft: Draft, member: Member, why: Why) -> Changes:
     lost = losses(member, strange, why)
     if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
         # The table does not say of which configuration it is.
-        member.is_d = handedness(member, least=WELL_FORMED) < 0
+        member.is_d = chirality(member, least=WELL_FORMED) < 0
     if given == "MSE":
         yield Repair.of(Kind.SELENOMETHIONINE, lost, residue=residue)
     elif given != name_in_file(parent, member.is_d):
         cut, whole = _TO_D if member.is_d else _TO_PARENT
         name = name_in_file(parent, member.is_d)
         yield Repair.of(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
-    elif gone or handedness(member) < 1:  # One of the other configuration is told with all that are.
+    elif gone or chirality(member) < 1:  # One of the other configuration is told with all that are.
         kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
         yield Repair.of(kind, lost, residue=residue, atoms=gone)
 

@@ -269,7 +269,7 @@ def prepare(draft: Draft) -> Structure:
         axis=0,
     ).T
     # Bonds of hetero molecules, and springs for the bonds without parameters.
-    metals = [link for link in draft.metal_links if link.member is not link.other]
+    metals = [link for link in draft.metal_links if link.member is not link.hetero]
     links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *metals])
     ties = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
     residue_parts = [part for part in draft.parts for _ in part.members]
@@ -315,7 +315,9 @@ def _index_ligand(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
 
 def _link_indices(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
     """Return the pairs of atom indices of links."""
-    return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
+    return [
+        (at[id(link.member)][link.atom.name], at[id(link.hetero)][link.hetero_atom.name]) for link in links
+    ]
 
 
 def _distinct(draft: Draft, links: list[Link]) -> list[Link]:

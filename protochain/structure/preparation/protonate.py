@@ -74,8 +74,8 @@ def _template(
     template = part.template(known, i, state)
     usual = part.template(known, i)
     assert usual is not None
-    if member.given.endswith(_BRIDGED) and not shown:
-        yield Repair.of(Kind.NO_PARTNER, residue=member.residue, name=member.given)
+    if member.raw_name.endswith(_BRIDGED) and not shown:
+        yield Repair.of(Kind.NO_PARTNER, residue=member.residue, name=member.raw_name)
     if template is None:
         yield Repair.of(Kind.USUAL_STATE, residue=member.residue, state=state)
     elif state and not shown and pka is not None:
@@ -84,7 +84,7 @@ def _template(
         yield Repair.of(Kind.STATE_CHOSEN, residue=member.residue, state=state)
     template = template or usual
     if shown and member.name in residues.PHOSPHORYLATED:
-        template = template.exchanged("O1P", _acid_oxygens(member)[0])
+        template = template.exchange("O1P", _acid_oxygens(member)[0])
     if _is_imidazolate(member):
         template = template.without_hydrogen("NE2")
         yield Repair.of(Kind.IMIDAZOLATE, residue=member.residue)

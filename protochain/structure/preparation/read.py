@@ -16,12 +16,12 @@ from protochain.ligands.tables import CATEGORY, of_header
 from protochain.structure.formats.chain_splitting import refuse_crowds
 from protochain.structure.formats.files import parse, places_in_file
 from protochain.structure.molecule import residues
-from protochain.structure.molecule.chirality import WELL_FORMED, handedness
+from protochain.structure.molecule.chirality import WELL_FORMED, chirality
 from protochain.structure.molecule.member import Address, Member, Unknown, address_of
-from protochain.structure.molecule.repairs import Kind, Repair, Why
+from protochain.structure.molecule.repairs import Kind, Reason, Repair
 from protochain.structure.molecule.templates import (
     archive_parent,
-    named,
+    name_by_atoms,
     rename,
     standard_name,
     template_name,
@@ -87,7 +87,7 @@ def split_chains(draft: Draft) -> Changes:
         run: list[Member] = []
         for group, letter in places:
             conformer = likeliest(group, letter)
-            naming = named(
+            naming = name_by_atoms(
                 conformer.residue.name.strip().upper(), [*conformer.residue], draft.templates, components
             )
             notes = _report_altlocs(chain, conformer)
@@ -102,8 +102,8 @@ def split_chains(draft: Draft) -> Changes:
             if is_protein:
                 run.append(member)
             else:
-                candidate = water_named(member, member.given)
-                draft.beside.append(Candidate(candidate, member.given, notes))
+                candidate = water_named(member, member.raw_name)
+                draft.beside.append(Candidate(candidate, member.raw_name, notes))
         run = yield from _complete_backbones(draft, chain, run)
         yield from report_unresolved(run)
         yield from _split_at_breaks(draft, run)
@@ -149,7 +149,7 @@ def _read_residue(
         label=(residue.subchain, residue.label_seq), given=original,
     )  # fmt: skip
     by_atoms = is_standard and standard_name(original)[0] != name
-    member.is_d = member.is_d or (by_atoms and handedness(member) < 0)
+    member.is_d = member.is_d or (by_atoms and chirality(member) < 0)
     if state or by_atoms or (is_standard and original[-3:] in residues.LINKED):
         kind = Kind.STATE_NAMED if state else Kind.RENAMED
         yield Repair.of(kind, residue=in_file(chain, residue), name=name, state=state)
@@ -191,7 +191,7 @@ def _complete_backbones(
                 "rebuild the backbone or remove the residue"
             )
         if missing and not names:
-            lost = losses(member, member.atoms, Why.BACKBONE)
+            lost = losses(member, member.atoms, Reason.BACKBONE)
             yield Repair.of(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])
             yield Omission("incomplete residues", 1)
             continue
@@ -261,7 +261,7 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
             # A cap with stated bonds, but not at the end of a chain, is a hetero molecule.
             draft.beside.append(Candidate(member, member.name))
         else:
-            lost = losses(member, member.atoms, Why.CAP)
+            lost = losses(member, member.atoms, Reason.CAP)
             yield Repair.of(Kind.CAP, lost, residue=member.residue)
             yield Omission(member.name, 1)
     if len(members) == 1:
@@ -281,23 +281,23 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
         draft.parts.append(part)
 
 
-def _conversion_reason(draft: Draft, part: Part, i: int) -> Why | None:
+def _conversion_reason(draft: Draft, part: Part, i: int) -> Reason | None:
     """Return the reason why a modified residue of a chain becomes its standard parent, or None."""
     member = part.members[i]
     if not member.parent and member.name not in residues.PHOSPHORYLATED:
         return None
     if draft.reading.standard_residues:
-        return Why.ASKED
+        return Reason.ASKED
     heavy_names = {atom.name for atom in member.heavy} - {"OXT"}
     if member.parent:
-        member.is_d = member.is_d or handedness(member, least=WELL_FORMED) < 0
+        member.is_d = member.is_d or chirality(member, least=WELL_FORMED) < 0
         is_mirrored = member.is_d and heavy_names == {*draft.templates[fullest(member.parent)].heavy}
-        return Why.PARENT if member.name == "MSE" or is_mirrored else None
+        return Reason.PARENT if member.name == "MSE" or is_mirrored else None
     template = part.template(draft.templates, i)
     if template is None:
-        return Why.END
+        return Reason.END
     is_complete = {template.synonyms.get(name, name) for name in heavy_names} - {"OXT"} == {*template.heavy}
-    return None if is_complete else Why.INCOMPLETE
+    return None if is_complete else Reason.INCOMPLETE
 
 
 def add_poses(draft: Draft) -> tuple[()]:
@@ -309,7 +309,7 @@ def add_poses(draft: Draft) -> tuple[()]:
     chemistry = draft.reading.chemistry
     for path in chemistry.poses:
         used = {(m.chain_id, m.number) for m in (*draft.members, *(b.member for b in draft.beside))}
-        names = {*chemistry.moving, *(candidate.given for candidate in draft.beside)}
+        names = {*chemistry.moving, *(candidate.raw_name for candidate in draft.beside)}
         chemistry, member = with_pose(chemistry, path, {chain for chain, _ in used}, names)
         draft.beside.append(Candidate(member, member.name))
     if chemistry is not draft.reading.chemistry:

@@ -20,7 +20,7 @@ from protochain.structure.formats.tie_records import DIGITS
 from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.model import Tie
-from protochain.structure.molecule.repairs import Apart, Count, Kind, Repair
+from protochain.structure.molecule.repairs import AtomDistance, Count, Kind, Repair
 from protochain.structure.preparation.hetero_molecules import JOINED
 from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, bonds_and_overlaps
 from protochain.structure.preparation.structure_draft import Changes, Contacts, Draft, Evidence, Part
@@ -59,7 +59,7 @@ def find_links(draft: Draft) -> tuple[()]:
     glycosidic = {*draft.glycosidic}
     near = [link for link in _close_pairs(draft, protein, hetero_atoms) if _ends(link) not in glycosidic]
     # An input written by protochain lists the bonds of its hetero molecules.
-    listed = {link for link in near if draft.says_of(link.other) and (link.is_metal or not _has_metal(link))}
+    listed = {link for link in near if draft.says_of(link.hetero) and (link.is_metal or not _has_metal(link))}
     sprung = {link for link in listed if _ends(link) in draft.springs}
     refused = list[tuple[Link, str]]()
     overlapping = list[Link]()
@@ -86,30 +86,30 @@ def report_links(draft: Draft) -> Changes:
     """Report the bonds with springs, the ignored bonds, and overlaps."""
     sites: dict[int, list[Link]] = {}
     for link in draft.links:
-        sites.setdefault(id(link.other_atom), []).append(link)
+        sites.setdefault(id(link.hetero_atom), []).append(link)
     for site in sites.values():
         kind = Kind.COORDINATED if site[0].is_metal else Kind.BONDED
-        if moves(draft, site[0].other, draft.links):
+        if moves(draft, site[0].hetero, draft.links):
             kind = Kind.ION_MOVES
-        elif site[0].is_metal and len(site[0].other.atoms) == 1:
+        elif site[0].is_metal and len(site[0].hetero.atoms) == 1:
             kind = Kind.ION_HELD
         yield _report_site(kind, site)
     for link, why in draft.contacts.refused:
         yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=why)
     if overlapping := [*draft.contacts.overlapping, *_overlapping_pairs(draft, draft.contacts.protein)]:
-        pairs = tuple(Apart(link.atoms, link.length) for link in overlapping)
+        pairs = tuple(AtomDistance(link.atoms, link.length) for link in overlapping)
         yield Repair.of(Kind.NEAR, count=len(pairs), pairs=pairs)
 
 
 def _report_site(kind: Kind, site: Sequence[Link]) -> Repair:
     """Report the bonds of an atom of a hetero molecule."""
-    ends = tuple(Apart(link.atoms[:1], link.length) for link in site)
+    ends = tuple(AtomDistance(link.atoms[:1], link.length) for link in site)
     return Repair.of(kind, atom=site[0].atoms[1], ends=ends)
 
 
 def _has_metal(link: Link) -> bool:
     """Whether a hetero residue has a metal and other atoms. Springs of the metal do not list other bonds."""
-    return len(link.other.atoms) > 1 and any(a.element.is_metal for a in link.other.atoms)
+    return len(link.hetero.atoms) > 1 and any(a.element.is_metal for a in link.hetero.atoms)
 
 
 _Owned = Sequence[tuple[Member, gemmi.Atom]]
@@ -143,7 +143,7 @@ def _overlapping_pairs(draft: Draft, protein: _Owned) -> Iterator[Link]:
     pairs = KDTree([a.pos.tolist() for _, a in protein]).query_pairs(_NEAREST, output_type="ndarray")
     for i, j in sorted(pairs[np.abs(owner[pairs[:, 0]] - owner[pairs[:, 1]]) > 1].tolist()):
         link = Link(*protein[i], *protein[j])
-        is_bond = frozenset(link.owners) in joined or link.atom.name == link.other_atom.name == "SG"
+        is_bond = frozenset(link.owners) in joined or link.atom.name == link.hetero_atom.name == "SG"
         if not is_bond and link.excess <= COVALENT_SLACK:
             yield link
 
@@ -163,7 +163,7 @@ def _distant_stated_bonds(draft: Draft, protein: _Owned, hetero: _Owned) -> Iter
 
 def _ends(link: Link) -> tuple[Address, Address]:
     """Return the addresses of the linked atoms, the protein's first."""
-    return link.member.address(link.atom.name), link.other.address(link.other_atom.name)
+    return link.member.address(link.atom.name), link.hetero.address(link.hetero_atom.name)
 
 
 def list_bonds(draft: Draft) -> Changes:
@@ -175,17 +175,17 @@ def list_bonds(draft: Draft) -> Changes:
     draft.metal_links = _metal_links(draft)
     sites: dict[int, list[Link]] = {}
     for link in draft.metal_links:
-        if link.member is not link.other:
-            sites.setdefault(id(link.other_atom), []).append(link)
+        if link.member is not link.hetero:
+            sites.setdefault(id(link.hetero_atom), []).append(link)
     for site in sites.values():
-        yield _report_site(Kind.ION_HELD if len(site[0].other.atoms) == 1 else Kind.COORDINATED, site)
+        yield _report_site(Kind.ION_HELD if len(site[0].hetero.atoms) == 1 else Kind.COORDINATED, site)
     yield from _report_unused(draft, [*draft.links, *draft.other_links, *hetero_links, *draft.metal_links])
 
 
 def _settle_mobility(draft: Draft) -> Changes:
     """Fix the mobile molecules that are bonded to other molecules. Report the fixed and the mobile ones."""
-    tied = {id(link.other) for link in draft.links}
-    bonded = {id(link.other) for link in draft.links if not link.is_metal}
+    tied = {id(link.hetero) for link in draft.links}
+    bonded = {id(link.hetero) for link in draft.links if not link.is_metal}
     hetero_atoms = [(part, a) for part, _, a in heavy_hetero_atoms(draft)]
     tree = KDTree([a.pos.tolist() for _, a in hetero_atoms]) if hetero_atoms else None
     in_fragments = {id(m) for fragment in draft.fragments for m, _ in fragment.owners}
@@ -226,8 +226,8 @@ def _report_unused(draft: Draft, used: Iterable[Link]) -> Changes:
         link = Link(*atom_at[first], *atom_at[second])
         is_skipped = {first[2], second[2]} in ({"C", "N"}, {"O3'", "P"}) and link.length <= STATED
         # Bonds between cysteines are reported with the disulfides.
-        is_skipped |= {first[2], second[2]} == {"SG"} and not (link.member.metals or link.other.metals)
-        if not is_skipped and link.member is not link.other and frozenset(link.atoms) not in reported:
+        is_skipped |= {first[2], second[2]} == {"SG"} and not (link.member.metals or link.hetero.metals)
+        if not is_skipped and link.member is not link.hetero and frozenset(link.atoms) not in reported:
             yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
     if n_missing:
         yield Repair.of(Kind.BONDS_LEFT_OUT, count=n_missing)
@@ -252,13 +252,13 @@ def stated_hetero_links(draft: Draft) -> list[Link]:
     }  # fmt: skip
     pairs = {frozenset(ends) for ends in draft.stated if {*ends} <= atom_at.keys()}
     links = (Link(*atom_at[first], *atom_at[second]) for first, second in sorted(map(sorted, pairs)))
-    return [link for link in links if link.atom.pos.dist(link.other_atom.pos) <= STATED]
+    return [link for link in links if link.atom.pos.dist(link.hetero_atom.pos) <= STATED]
 
 
 def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     """Whether a hetero molecule moves with the protein: an ion that only the protein surrounds."""
     ion = member.atoms[0]
-    donors = sum(link.other_atom is ion and link.is_metal for link in links)
+    donors = sum(link.hetero_atom is ion and link.is_metal for link in links)
     if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
         return False
     if draft.says_of(member):
@@ -337,7 +337,7 @@ def ties(
     first_atoms = {at[id(link.member)][link.atom.name] for link in links}
     for link in links:
         first = at[id(link.member)][link.atom.name]
-        second = at[id(link.other)][link.other_atom.name]
+        second = at[id(link.hetero)][link.hetero_atom.name]
         stiffness_of[first, second] = _METAL_BOND if link.is_metal else _BOND
         for k in near[first]:
             if k != second:

@@ -17,7 +17,7 @@ from protochain.ligands.protonation import Charged
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Address, Member
-from protochain.structure.molecule.repairs import Loss, Repair, Why
+from protochain.structure.molecule.repairs import Loss, Reason, Repair
 from protochain.structure.molecule.templates import (
     HAS_GLYCAM,
     HAS_SAGE,
@@ -105,7 +105,7 @@ class Candidate:
     """A residue that is no part of the protein."""
 
     member: Member
-    given: str  # Its name in the file.
+    raw_name: str  # Its name in the file.
     notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
 
     @property
@@ -306,7 +306,7 @@ class Draft:
         return found
 
 
-def losses(member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> tuple[Loss, ...]:
+def losses(member: Member, atoms: Iterable[gemmi.Atom], why: Reason) -> tuple[Loss, ...]:
     """Tell of the heavy atoms among those of a residue, if there are any, that they are lost."""
     names = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
-    return (Loss(member.chain_id, member.seqid, member.given or member.name, names, why),) if names else ()
+    return (Loss(member.chain_id, member.seqid, member.raw_name or member.name, names, why),) if names else ()

@@ -38,7 +38,7 @@ class Arm:
         for k, (quartet, its) in enumerate(zip(self.axes, self.outward, strict=True)):
             at = [tried[:, row[i]] if i in row else x[i] for i in quartet]
             rows = [row[int(i)] for i in its]
-            tried[:, rows] = rotated(tried[:, rows], at[1], at[2], chi[:, k] - dihedral(*at))
+            tried[:, rows] = rotate(tried[:, rows], at[1], at[2], chi[:, k] - dihedral(*at))
         return tried
 
 
@@ -61,7 +61,7 @@ def backbone_of(
     return angles[0], angles[1]
 
 
-def around(
+def dihedral_grid(
     chi: Floats, rarity: Floats, turns: Iterable[float], n_turned: int, width: float = WIDTH
 ) -> tuple[Floats, Floats]:
     """Dihedrals (m, n_chi) about those of rotamers chi (n, n_chi), rad, and their costs (m,)."""
@@ -72,7 +72,7 @@ def around(
     return (chi[:, None] + steps).reshape(len(cost), chi.shape[1]), cost
 
 
-def rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
+def rotate(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
     """Rotate positions (n, k, 3) about the axis from start to end, (3,) or (n, 3), by angles (n,)."""
     axis = np.broadcast_to(unit(end - start), (len(angle), 3))[:, None]
     arm = x - np.broadcast_to(end, (len(angle), 3))[:, None]
@@ -82,6 +82,6 @@ def rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
     return np.asarray(np.broadcast_to(end, (len(angle), 3))[:, None] + turned)
 
 
-def wrapped(angle: Floats) -> Floats:
+def wrap_angle(angle: Floats) -> Floats:
     """Angles between -pi and pi."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -14,8 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
+<<<<<<< HEAD
 from protochain.structure.sidechains.conflicts import beside
-from protochain.structure.sidechains.reduction import SLIGHT, Part, bounded, undominated
+=======
+from protochain.structure.sidechains.conflicts import neighbour_tables
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
+from protochain.structure.sidechains.reduction import SLIGHT, Part, eliminate_dead_ends, raise_bound
 
 _LARGEST = 1_000_000
 """Entries of a table in the elimination of sites; beyond, branches are smaller."""
@@ -34,7 +38,7 @@ class Assignment(NamedTuple):
     is_proven: bool  # Whether it is the global minimum; if not, the search was ended as too long.
 
 
-def best(
+def assign_states(
     own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
     largest: int = _LARGEST, most_tables: int = _MOST_TABLES,
 ) -> Assignment:  # fmt: skip
@@ -51,7 +55,7 @@ def best(
     return Assignment(states, _energy(own, pairs, states), not search.is_spent)
 
 
-def eliminated(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
+def eliminate_sites(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
     """(n,) int: states of lowest energy by elimination of sites alone, for few states and loose networks."""
     part = Part(
         tuple(range(len(own))), tuple(own), tuple(np.arange(len(each)) for each in own), dict(pairs), 0.0
@@ -72,8 +76,8 @@ class _Search:
         found: _Found | None = None
         decided: dict[int, int] = {}
         while True:
-            part, more = part.kept(undominated(part)).undecided()
-            part, decided = bounded(part), decided | more
+            part, more = part.kept(eliminate_dead_ends(part)).undecided()
+            part, decided = raise_bound(part), decided | more
             energy, states = _guessed(part)
             if energy < limit:
                 found, limit = (energy, decided | states), energy - SLIGHT
@@ -131,7 +135,7 @@ def _guessed(part: Part) -> _Found:
 
 def _order(part: Part) -> tuple[list[int], int]:
     """Order of elimination, the smallest table next, and the size of its largest table."""
-    near = {k: {j for j, _ in its} for k, its in enumerate(beside(part.pairs, len(part.sites)))}
+    near = {k: {j for j, _ in its} for k, its in enumerate(neighbour_tables(part.pairs, len(part.sites)))}
     states = [len(own) for own in part.own]
     order, largest = [], 1
     while near:
@@ -173,7 +177,7 @@ def _eliminated(part: Part, order: Sequence[int]) -> _Found:
 
 def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
     """States that no change of a single site improves, from the best of each beside those before it."""
-    partners = beside(pairs, len(own))
+    partners = neighbour_tables(pairs, len(own))
     states, improves = np.full(len(own), -1), True
     while improves:
         improves = False

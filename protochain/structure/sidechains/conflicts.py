@@ -26,7 +26,7 @@ def sphere(x: Floats) -> tuple[Floats, float]:
     return centre, float(np.linalg.norm(x - centre, axis=-1).max())
 
 
-def beside(pairs: Mapping[tuple[int, int], Floats], n: int) -> list[list[tuple[int, Floats]]]:
+def neighbour_tables(pairs: Mapping[tuple[int, int], Floats], n: int) -> list[list[tuple[int, Floats]]]:
     """For each of n sites those that it interacts with, and the tables, its own states in the rows."""
     found: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
     for (i, j), table in pairs.items():

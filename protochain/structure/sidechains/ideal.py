@@ -115,7 +115,7 @@ def fixed_chi(residue: str, known: Mapping[str, Floats]) -> dict[int, float]:
     return found
 
 
-def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
+def build_atoms(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
     """Place the missing atoms of a side chain for dihedrals (n, n_chi), rad; angstrom."""
     geometry, n = ideal(residue), len(chi)
     at: Places = dict(known)
@@ -133,7 +133,7 @@ def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
             # Those that are planar, chi5 of arginine, are not given.
             given = chi[:, branch.chi] if branch.chi < chi.shape[1] else 0.0
             turn = turn + given - geometry.chi[branch.chi]
-        at[branch.name] = placed(a, b, c, branch.length, branch.angle, turn)
+        at[branch.name] = place_points(a, b, c, branch.length, branch.angle, turn)
     return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in known}
 
 
@@ -144,7 +144,7 @@ def beta_carbon(residue: str, known: Mapping[str, Floats]) -> Floats:
     return np.asarray(known["CA"] + frame.T @ (own @ (x["CB"] - x["CA"])))
 
 
-def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
+def bridge_gaps(residue: str, known: Mapping[str, Floats]) -> Places:
     """Place atoms between atoms that are there, by distances within two bonds; angstrom, or empty."""
     geometry, found = ideal(residue), dict(known)
     chi, _ = conformers(residue)
@@ -159,7 +159,7 @@ def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
         near = sorted(n for n in geometry.within(name, 2) if n in found)
         target = np.array([np.linalg.norm(geometry.x[n] - geometry.x[name]) for n in near])
         fixed = np.array([found[n] for n in near])
-        starts = grown(residue, found, chi)[name]
+        starts = build_atoms(residue, found, chi)[name]
         misfit = np.linalg.norm(starts[:, None] - fixed, axis=2) - target
         start = starts[int(np.argmin(np.round((misfit**2).sum(axis=1), 6)))]
         found[name] = _at_distances(fixed, target, start)
@@ -183,7 +183,7 @@ def _frame(x: Mapping[str, Floats]) -> Floats:
     return np.array([first, cross(third, first), third])
 
 
-def placed(
+def place_points(
     a: Floats, b: Floats, c: Floats, length: float | Floats, angle: float | Floats, turn: Floats
 ) -> Floats:
     """Place points (n, 3) at a distance from c, an angle with b and dihedrals (n,) with a."""

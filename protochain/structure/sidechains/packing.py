@@ -18,10 +18,14 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import within
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member
-from protochain.structure.sidechains.arms import WIDTH, around, wrapped
+from protochain.structure.sidechains.arms import WIDTH, dihedral_grid, wrap_angle
+<<<<<<< HEAD
 from protochain.structure.sidechains.assignment import Assignment, best
+=======
+from protochain.structure.sidechains.assignment import Assignment, assign_states
+>>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 from protochain.structure.sidechains.conflicts import touching
-from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal
+from protochain.structure.sidechains.ideal import Places, build_atoms, conformers, fixed_chi, ideal
 from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
 from protochain.structure.sidechains.sites import Site
 
@@ -52,7 +56,7 @@ class Choices:
     cost: Floats  # (n,): Without the other residues that are built.
 
 
-class Packed(NamedTuple):
+class Packing(NamedTuple):
     """Side chains that were packed."""
 
     places: list[Places]  # angstrom: The missing atoms of each site.
@@ -61,10 +65,10 @@ class Packed(NamedTuple):
     is_proven: bool
 
 
-def packed(members: Sequence[Member], sites: Sequence[Site]) -> Packed:
+def pack(members: Sequence[Member], sites: Sequence[Site]) -> Packing:
     """Place the missing side-chain atoms of residues."""
     here = _Surroundings(members)
-    choices = [_choices(site, here, *choosable(site)) for site in sites]
+    choices = [_choices(site, here, *candidate_conformers(site)) for site in sites]
     first = _settled(choices)
     finer = [
         _choices(each.site, here, *_turned(each, state))
@@ -75,24 +79,24 @@ def packed(members: Sequence[Member], sites: Sequence[Site]) -> Packed:
         dict(zip(each.names, each.x[k], strict=True))
         for each, k in zip(finer, last.states.tolist(), strict=True)
     ]
-    return Packed(places, first.is_proven and last.is_proven)
+    return Packing(places, first.is_proven and last.is_proven)
 
 
-def choosable(site: Site) -> tuple[Floats, Floats]:
+def candidate_conformers(site: Site) -> tuple[Floats, Floats]:
     """Dihedrals and costs of the conformers; those unlike the dihedrals of atoms in place cost more."""
     name = site.member.name
     chi, frequency = conformers(name, *site.backbone)
     if name == "CYS":
         # A disulfide bond closes at dihedrals between the rotamers.
         turns = np.deg2rad(np.arange(-180.0, 180.0, 10.0))[:, None]
-        near = np.exp(-0.5 * (wrapped(turns - chi.T) / WIDTH) ** 2)
+        near = np.exp(-0.5 * (wrap_angle(turns - chi.T) / WIDTH) ** 2)
         chi, frequency = turns, near @ frequency
     cost = rarity(name, frequency)
     if name not in _MANY and name != "CYS" and chi.shape[1]:
-        chi, cost = around(chi, cost, (0.0, -_TURN, _TURN), 1, _TURNED)
+        chi, cost = dihedral_grid(chi, cost, (0.0, -_TURN, _TURN), 1, _TURNED)
     for k, value in fixed_chi(name, site.known).items():
         if k < chi.shape[1]:
-            cost = cost + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
+            cost = cost + 0.5 * (wrap_angle(chi[:, k] - value) / WIDTH) ** 2
     return chi, cost
 
 
@@ -100,11 +104,11 @@ def _turned(each: Choices, state: int) -> tuple[Floats, Floats]:
     """Dihedrals and costs about a conformer."""
     chi = each.chi[[state]]
     n = 0 if each.site.member.name == "PRO" else min(2, chi.shape[1])
-    return around(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURNED)
+    return dihedral_grid(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURNED)
 
 
 def _choices(site: Site, here: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
-    built = grown(site.member.name, site.known, chi)
+    built = build_atoms(site.member.name, site.known, chi)
     names = tuple(built)
     x = site.sign * np.stack([built[name] for name in names], axis=1)
     cost = cost + here.felt(site, names, x)
@@ -119,7 +123,7 @@ def _settled(choices: Sequence[Choices]) -> Assignment:
         found = _between(choices[i], choices[j])
         if found.any():
             tables[i, j] = found
-    return best([each.cost for each in choices], tables)
+    return assign_states([each.cost for each in choices], tables)
 
 
 def _between(one: Choices, other: Choices) -> Floats:

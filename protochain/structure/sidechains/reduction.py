@@ -11,7 +11,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.compilation import njit
-from protochain.structure.sidechains.conflicts import Pairs, beside
+from protochain.structure.sidechains.conflicts import Pairs, neighbour_tables
 
 SLIGHT = 1e-9
 """kJ/mol: round-off of energies; a smaller spread is none."""
@@ -82,10 +82,10 @@ class Part:
         return [[k for k, each in enumerate(group) if each == one] for one in dict.fromkeys(group)]
 
 
-def undominated(part: Part) -> list[np.ndarray]:
+def eliminate_dead_ends(part: Part) -> list[np.ndarray]:
     """States (n_i,) bool of each site that Goldstein's criterion leaves."""
     alive = [np.ones(len(own), dtype=bool) for own in part.own]
-    partners = beside(part.pairs, len(part.sites))
+    partners = neighbour_tables(part.pairs, len(part.sites))
     waiting = dict.fromkeys(range(len(part.sites)))
     while waiting:
         i = next(iter(waiting))
@@ -131,7 +131,7 @@ def _goldstein(own: Floats, rows: Floats, starts: Integers) -> np.ndarray:
     return left
 
 
-def bounded(part: Part) -> Part:
+def raise_bound(part: Part) -> Part:
     """The same energies, moved between tables so that the sum of their minima rises."""
     if not part.pairs:
         return part
