@@ -22,7 +22,7 @@ from protochain.core.interrupts import held_interrupts, open_to_interrupts, run_
 from protochain.minimisers import Status
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import parting, walk
+from protochain.minimisers.stages import overlap_stage, walk
 
 
 def interrupt():
@@ -75,7 +75,7 @@ def test_overlaps_being_parted_are_interrupted_and_told(signals):
         if len(told) == 2:
             interrupt()
 
-    done = walk([parting(Torsions(c))], c.structure.positions, 500, None, record)
+    done = walk([overlap_stage(Torsions(c))], c.structure.positions, 500, None, record)
     assert [name for name, _ in told] == ["resolving clashes"] * 2 and done.n_evaluations == told[-1][1]
 
 

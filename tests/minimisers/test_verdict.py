@@ -10,7 +10,7 @@ import protochain as pc
 from protochain.chains.chain import pose, pull_back
 from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.verdict import Status, judge, rebuilt, rejected, verdict
+from protochain.minimisers.verdict import Status, describe_rejections, judge, rebuilt, verdict
 from protochain.validation.findings import remains, remains_in_words
 
 OTHERS = {Stop.BUDGET: "budget", Stop.NON_FINITE: "non-finite", Stop.INTERRUPTED: "interrupted"}
@@ -82,7 +82,7 @@ def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
     changed = s.with_positions(x)
     named = "inverted stereocentres: CA of A:ALA5"
     assert judged(changed) == (Status.VIOLATIONS, f"violations: {named}; so far")
-    assert rejected(changed, x) == [named] and rejected(s, s.positions) == []
+    assert describe_rejections(changed, x) == [named] and describe_rejections(s, s.positions) == []
     # What the message names is printed once; that of a clash does not name it.
     lines = {each: remains_in_words(remains(changed, x) | {"status": each}) for each in Status}
     assert [each for each, its in lines.items() if named in "".join(its)] == [Status.CLASH]
