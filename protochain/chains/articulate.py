@@ -23,11 +23,7 @@ from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
 from protochain.structure.select import move_argument
-<<<<<<< HEAD
-from protochain.structure.select import moving as moving_atoms
-=======
 from protochain.structure.select import moving_mask as moving_atoms
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 
 
 def _as_of(build: Callable[..., Chain], source: Any, arguments: dict[str, Any]) -> Chain:

@@ -29,11 +29,7 @@ from protochain.structure import Structure
 from protochain.structure.build import from_sequence
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.select import atoms_at
-<<<<<<< HEAD
-from protochain.structure.sidechains.ideal import placed
-=======
 from protochain.structure.sidechains.ideal import place_points
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 from protochain.structure.substitute import LETTERS, substitute
 from protochain.validation.layout import NONE, layout
 

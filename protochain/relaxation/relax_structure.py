@@ -35,12 +35,8 @@ from protochain.relaxation.relax_settings import RelaxSettings, fixed_options, s
 from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Relaxer, RoundEnd, best_round
 from protochain.structure import Structure
-<<<<<<< HEAD
-from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
-=======
 from protochain.structure.molecule.chirality import atom_names, with_mirror_images
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
-from protochain.structure.select import move_argument, moving, select, split_sides
+from protochain.structure.select import move_argument, moving_mask, select, split_sides
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import as_native
 from protochain.validation.omega import bonds_named
@@ -115,7 +111,7 @@ def relax_structure(
     if settings.interface:
         as_native(energy)
         split_sides(structure, settings.interface)
-    mobile = read_only(moving(structure, move), np.bool_)
+    mobile = read_only(moving_mask(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
     excluded, strength = _unrestrained_residues(structure, settings), settings.strength
     of_ligands = np.zeros(structure.n_atoms, dtype=bool)

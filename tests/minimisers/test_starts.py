@@ -114,7 +114,9 @@ def given(monkeypatch):
 
     monkeypatch.setattr(starts, "minimise", minimise)
     monkeypatch.setattr(starts, "_superpose_on_start", lambda solution, chain: replace(solution, frame=chain))
-    monkeypatch.setattr(starts, "perturb_dihedrals", lambda here, spread, random: (here, spread, random.normal()))
+    monkeypatch.setattr(
+        starts, "perturb_dihedrals", lambda here, spread, random: (here, spread, random.normal())
+    )
     return SimpleNamespace(ends=ends, calls=calls)
 
 

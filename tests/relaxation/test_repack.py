@@ -23,11 +23,7 @@ from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure.molecule import residues
 from protochain.structure.select import select
 from protochain.structure.sidechains.arms import Arm, backbone_of, wrap_angle
-<<<<<<< HEAD
-from protochain.structure.sidechains.assignment import best
-=======
 from protochain.structure.sidechains.assignment import assign_states
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 from protochain.structure.sidechains.reduction import Part, eliminate_dead_ends
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings

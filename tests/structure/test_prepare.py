@@ -102,11 +102,7 @@ def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():
     waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": KEEP_ALL})
     said = "3 waters left out: the solvent is implicit; {} keeps everything"
     assert str(waters) == said.format('keep="all"')
-<<<<<<< HEAD
-    for words in (waters.told(as_option), *summarise([waters], as_option)):
-=======
     for words in (waters.sentence(as_option), *summarise([waters], as_option)):
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
         assert words == said.format("--keep all")
 
 

@@ -222,11 +222,7 @@ def test_atoms_in_place_decide_their_dihedrals_and_what_hangs_beside_them():
     known = backbone("LYS") | {n: one[n] for n in ("CB", "CG", "CD")}
     fixed = fixed_chi("LYS", known)
     assert set(fixed) == {0, 1} and wrap_angle(np.array([fixed[0], fixed[1]]) - chi[4, :2]) == degrees(0, 0)
-<<<<<<< HEAD
-    assert set(grown("LYS", known, chi)) == {"CE", "NZ"} and fixed_chi("LYS", backbone("LYS")) == {}
-=======
     assert set(build_atoms("LYS", known, chi)) == {"CE", "NZ"} and fixed_chi("LYS", backbone("LYS")) == {}
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
     for name, there, gone in (("VAL", "CG2", "CG1"), ("LEU", "CD2", "CD1"), ("ASP", "OD2", "OD1")):
         geometry = ideal(name)
         known = {n: x for n, x in geometry.x.items() if n != gone}
@@ -339,11 +335,7 @@ def test_conformers_unlike_the_atoms_in_place_cost():
     assert bare_chi == pytest.approx(turned) and cost == pytest.approx(np.repeat(rare, 3) + strain)
     grew = {n: x[1] for n, x in build_atoms("LEU", backbone("LEU"), chi + np.deg2rad(10.0)).items()}
     known = backbone("LEU") | {n: grew[n] for n in ("CB", "CG")}
-<<<<<<< HEAD
-    _, strained = choosable(Site(made("LEU", known), 1, None, None))
-=======
     _, strained = candidate_conformers(Site(made("LEU", known), 1, None, None))
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
     off = wrap_angle(bare_chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
     assert strained - cost == pytest.approx(0.5 * off**2, abs=1e-4) and (strained - cost)[3] < 0.13
 

@@ -376,11 +376,7 @@ class Repair(Value):
     def __repr__(self) -> str:
         return f"<Repair {self.kind.name}: {self}>"
 
-<<<<<<< HEAD
-    def told(self, say: Render = str) -> str:
-=======
     def sentence(self, say: Render = str) -> str:
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
         """Tell it in a sentence."""
         return _filled(self.kind.value.one, self, say)
 

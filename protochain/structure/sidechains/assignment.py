@@ -14,11 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-<<<<<<< HEAD
-from protochain.structure.sidechains.conflicts import beside
-=======
 from protochain.structure.sidechains.conflicts import neighbour_tables
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 from protochain.structure.sidechains.reduction import SLIGHT, Part, eliminate_dead_ends, raise_bound
 
 _LARGEST = 1_000_000

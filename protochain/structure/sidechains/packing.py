@@ -19,11 +19,7 @@ from protochain.core.graph import within
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member
 from protochain.structure.sidechains.arms import WIDTH, dihedral_grid, wrap_angle
-<<<<<<< HEAD
-from protochain.structure.sidechains.assignment import Assignment, best
-=======
 from protochain.structure.sidechains.assignment import Assignment, assign_states
->>>>>>> a18b5851 (Rename functions and fields of the structure package by nouns)
 from protochain.structure.sidechains.conflicts import touching
 from protochain.structure.sidechains.ideal import Places, build_atoms, conformers, fixed_chi, ideal
 from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
