@@ -43,8 +43,8 @@ class Ligand(Value):
     unsure: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        of = self.molecule
-        return f"<Ligand {of.source}: {of.n_atoms} atoms, charge {of.charge:+d}>"
+        molecule = self.molecule
+        return f"<Ligand {molecule.source}: {molecule.n_atoms} atoms, charge {molecule.charge:+d}>"
 
     def terms(self, x: Floats | None = None) -> dict[str, float]:
         """Energies by term.
@@ -129,13 +129,13 @@ def ligand(
     >>> len(pc.ligand("CC(=O)N").molecule.elements)
     9
     """
-    as_given = read(molecule)
-    read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
-    made = parametrised(read_as, charges, forcefield, charged)
-    return made if ph is None else replace(made, unsure=unsure(read_as, ph))
+    chemistry = read(molecule)
+    state, charged = (chemistry, ()) if ph is None else at_ph(chemistry, ph)
+    result = assign_parameters(state, charges, forcefield, charged)
+    return result if ph is None else replace(result, unsure=unsure(state, ph))
 
 
-def parametrised(
+def assign_parameters(
     molecule: Molecule,
     charges: str | Path = defaults.LIGAND_CHARGES,
     forcefield: str | Path | None = None,
@@ -144,11 +144,11 @@ def parametrised(
     """Give a molecule its parameters, with the arguments of :func:`ligand`."""
     by_rule = charges in CHARGE_RULES
     outside = nagl.outside(molecule) if charges == "nagl" else ()
-    found = (
+    model = (
         partial(charging.by_rule, rule="mmff94" if outside else str(charges))
         if by_rule
         else partial(charging.from_file, path=Path(charges))
     )
-    by_default = smirnoff.SAGE_2_2 if by_rule and charges != "nagl" else smirnoff.SAGE_2_3
-    rules = smirnoff.read(by_default if forcefield is None else Path(forcefield))
-    return Ligand(molecule, smirnoff.parametrised(molecule, rules, found, not by_rule), charged, outside)
+    default = smirnoff.SAGE_2_2 if by_rule and charges != "nagl" else smirnoff.SAGE_2_3
+    rules = smirnoff.read(default if forcefield is None else Path(forcefield))
+    return Ligand(molecule, smirnoff.assign_parameters(molecule, rules, model, not by_rule), charged, outside)

@@ -18,20 +18,20 @@ _ROUNDING = 0.01
 def by_rule(molecule: Molecule, rule: str) -> Floats:
     """Charges by ``nagl``, ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``."""
     if rule == "nagl":
-        return _summed(molecule, nagl.charges(molecule), rule)
-    chem, made = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
+        return _correct_sum(molecule, nagl.charges(molecule), rule)
+    chem, mol = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
     if rule == "mmff94":
-        found = quietly(chem.MMFFGetMoleculeProperties, made)
-        values = [found.GetMMFFPartialCharge(i) for i in range(molecule.n_atoms)] if found else []
+        properties = quietly(chem.MMFFGetMoleculeProperties, mol)
+        values = [properties.GetMMFFPartialCharge(i) for i in range(molecule.n_atoms)] if properties else []
     else:
-        chem.ComputeGasteigerCharges(made)
-        values = [atom.GetDoubleProp("_GasteigerCharge") for atom in made.GetAtoms()]
+        chem.ComputeGasteigerCharges(mol)
+        values = [atom.GetDoubleProp("_GasteigerCharge") for atom in mol.GetAtoms()]
     if not values or not np.isfinite(values).all():
         raise ForceFieldError(
             f"{molecule.source}: {rule} has no charges for one of its atoms; give a file of them as ",
             Argument("charges"),
         )
-    return _summed(molecule, np.array(values), rule)
+    return _correct_sum(molecule, np.array(values), rule)
 
 
 def from_file(molecule: Molecule, path: Path) -> Floats:
@@ -40,21 +40,21 @@ def from_file(molecule: Molecule, path: Path) -> Floats:
     in_order = path.suffix.lower() == ".mol2"
     rows = _of_mol2(lines) if in_order else [line.split() for line in lines if line.strip()]
     try:
-        found = [(name, float(charge)) for name, charge in rows]
+        entries = [(name, float(charge)) for name, charge in rows]
     except ValueError:
         raise ForceFieldError(f"{path}: give lines of an atom's name and its charge") from None
-    of = dict(found)
+    charge_of = dict(entries)
     if in_order and np.array_equal(read(path).elements, molecule.elements):
-        values = [charge for _, charge in found]
-    elif len(found) == len(of) == molecule.n_atoms and of.keys() == set(molecule.names):
-        values = [of[name] for name in molecule.names]
+        values = [charge for _, charge in entries]
+    elif len(entries) == len(charge_of) == molecule.n_atoms and charge_of.keys() == set(molecule.names):
+        values = [charge_of[name] for name in molecule.names]
     else:
-        missing = next((name for name in molecule.names if name not in of), "each atom once")
+        missing = next((name for name in molecule.names if name not in charge_of), "each atom once")
         raise ForceFieldError(
-            f"{path}: has {len(found)} charges for the {molecule.n_atoms} atoms of {molecule.source}; "
+            f"{path}: has {len(entries)} charges for the {molecule.n_atoms} atoms of {molecule.source}; "
             f"give also {missing}"
         )
-    return _summed(molecule, np.array(values), str(path))
+    return _correct_sum(molecule, np.array(values), str(path))
 
 
 def _of_mol2(lines: list[str]) -> list[list[str]]:
@@ -65,7 +65,7 @@ def _of_mol2(lines: list[str]) -> list[list[str]]:
     return [[row[1], row[8]] if len(row) > 8 else row for row in fields]
 
 
-def _summed(molecule: Molecule, charges: Floats, source: str) -> Floats:
+def _correct_sum(molecule: Molecule, charges: Floats, source: str) -> Floats:
     """Charges whose sum is the formal charge. The rounding error is spread over all atoms."""
     off = molecule.charge - float(charges.sum())
     if not abs(off) <= _ROUNDING:

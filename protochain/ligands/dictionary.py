@@ -17,8 +17,8 @@ from protochain.core.optional_libraries import library
 _COLUMNS = {
     "chem_comp_atom": (
         "comp_id", "atom_id", "type_symbol", "charge", "pdbx_leaving_atom_flag",
-        *(f"{which}_{axis}{ideal}" for axis in "xyz"
-          for which, ideal in (("pdbx_model_Cartn", "_ideal"), ("model_Cartn", ""))),
+        *(f"{prefix}_{axis}{ideal}" for axis in "xyz"
+          for prefix, ideal in (("pdbx_model_Cartn", "_ideal"), ("model_Cartn", ""))),
     ),
     "chem_comp_bond": ("comp_id", "atom_id_1", "atom_id_2", "value_order", "pdbx_aromatic_flag"),
 }  # fmt: skip
@@ -27,7 +27,7 @@ _COLUMNS = {
 
 def leaving(name: str) -> frozenset[str]:
     """Atoms of a component that leave when it is bonded to others, none for an unknown component."""
-    atoms = _found(name)
+    atoms = _decode(name)
     if atoms is None or "leaving" not in atoms.get_annotation_categories():
         return frozenset()
     return frozenset(atoms.atom_name[atoms.leaving].tolist())
@@ -35,79 +35,79 @@ def leaving(name: str) -> frozenset[str]:
 
 def heavy_atoms(name: str) -> frozenset[str]:
     """Names of the heavy atoms of a component, none for an unknown component."""
-    atoms = _found(name)
+    atoms = _decode(name)
     return frozenset() if atoms is None else frozenset(atoms.atom_name[atoms.element != "H"].tolist())
 
 
 def elements(name: str) -> dict[str, str]:
     """Elements of the atoms of a component by their names, empty for an unknown component."""
-    atoms = _found(name)
+    atoms = _decode(name)
     return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), atoms.element.tolist(), strict=True))
 
 
 def charges(name: str) -> dict[str, int]:
     """Formal charges of the atoms of a component by name, none for an unknown component."""
-    atoms = _found(name)
+    atoms = _decode(name)
     return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), map(int, atoms.charge), strict=True))
 
 
 def component(name: str) -> Any:
     """Atoms and bonds of a component, as biotite's ``residue`` returns them, with atoms that may leave."""
-    if (atoms := _found(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.
+    if (atoms := _decode(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.
         raise KeyError(name)
     return atoms
 
 
 @lru_cache(maxsize=256)
-def _found(name: str) -> Any:
+def _decode(name: str) -> Any:
     """Component, or None if there is none of that name."""
     info = library("biotite.structure.info")
     file = Path(info.__file__).with_name("components.bcif")
     if not file.is_file():
         return info.residue(name)
     pdbx = library("biotite.structure.io.pdbx")
-    made = _stored(name, file, pdbx)
-    if not made["chem_comp_atom"].row_count:
+    tables = _read_rows(name, file, pdbx)
+    if not tables["chem_comp_atom"].row_count:
         return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # For ideal coordinates those of the model are used.
-            found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+            atoms = pdbx.get_component(pdbx.BinaryCIFBlock(tables), res_name=name)
     except ValueError:  # Of 62 entries both lack.
         return None
-    names, flags = (made["chem_comp_atom"][each].as_array() for each in ("atom_id", "pdbx_leaving_atom_flag"))
+    names, flags = (tables["chem_comp_atom"][key].as_array() for key in ("atom_id", "pdbx_leaving_atom_flag"))
     leave = dict(zip(names, flags, strict=True))
-    found.set_annotation("leaving", np.array([leave.get(each) == "Y" for each in found.atom_name]))
-    return found
+    atoms.set_annotation("leaving", np.array([leave.get(atom) == "Y" for atom in atoms.atom_name]))
+    return atoms
 
 
-def _stored(name: str, file: Path, pdbx: Any) -> dict[str, Any]:
+def _read_rows(name: str, file: Path, pdbx: Any) -> dict[str, Any]:
     """Categories of the dictionary with the rows of a component."""
-    stored = library("msgpack").unpackb(file.read_bytes())["dataBlocks"][0]["categories"]
-    tables = {table["name"].removeprefix("_"): table["columns"] for table in stored}
-    made = {}
-    for table, wanted in _COLUMNS.items():
+    categories = library("msgpack").unpackb(file.read_bytes())["dataBlocks"][0]["categories"]
+    tables = {table["name"].removeprefix("_"): table["columns"] for table in categories}
+    selected = {}
+    for table, names in _COLUMNS.items():
         columns = {column["name"]: column for column in tables[table]}
         rows = _rows_of(name, columns["comp_id"]["data"], pdbx.BinaryCIFData)
-        made[table] = pdbx.BinaryCIFCategory(
-            {each: pdbx.BinaryCIFColumn(*_values(columns[each], rows, pdbx.BinaryCIFData)) for each in wanted}
+        selected[table] = pdbx.BinaryCIFCategory(
+            {key: pdbx.BinaryCIFColumn(*_values(columns[key], rows, pdbx.BinaryCIFData)) for key in names}
         )
-    return made
+    return selected
 
 
 def _rows_of(name: str, data: Any, decoder: Any) -> Any:
     """Rows whose text is a name."""
-    which, texts = _texts(data, decoder)
-    found = [k for k, text in enumerate(texts) if text == name]
-    return np.flatnonzero(which == found[0]) if found else np.empty(0, dtype=np.int64)
+    text_index, texts = _texts(data, decoder)
+    numbers = [k for k, text in enumerate(texts) if text == name]
+    return np.flatnonzero(text_index == numbers[0]) if numbers else np.empty(0, dtype=np.int64)
 
 
 def _values(column: Any, rows: Any, decoder: Any) -> tuple[Any, Any]:
     """Values of a column, and the mask of missing values, if there are any."""
     data, mask = column["data"], column["mask"]
     if data["encoding"][0]["kind"] == "StringArray":
-        which, texts = _texts(data, decoder)
-        values = np.array([texts[k] if k >= 0 else "" for k in which[rows]], dtype=str)
+        text_index, texts = _texts(data, decoder)
+        values = np.array([texts[k] if k >= 0 else "" for k in text_index[rows]], dtype=str)
     else:
         values = decoder.deserialize(data).array[rows]
     return values, None if mask is None else decoder.deserialize(mask).array[rows]
@@ -115,7 +115,7 @@ def _values(column: Any, rows: Any, decoder: Any) -> tuple[Any, Any]:
 
 def _texts(data: Any, decoder: Any) -> tuple[Any, list[str]]:
     """Number of the text of each row, and these texts."""
-    its = data["encoding"][0]
-    which = decoder.deserialize({"data": data["data"], "encoding": its["dataEncoding"]}).array
-    ends = decoder.deserialize({"data": its["offsets"], "encoding": its["offsetEncoding"]}).array.tolist()
-    return which, [its["stringData"][a:b] for a, b in pairwise(ends)]
+    spec = data["encoding"][0]
+    text_index = decoder.deserialize({"data": data["data"], "encoding": spec["dataEncoding"]}).array
+    ends = decoder.deserialize({"data": spec["offsets"], "encoding": spec["offsetEncoding"]}).array.tolist()
+    return text_index, [spec["stringData"][a:b] for a, b in pairwise(ends)]

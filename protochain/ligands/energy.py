@@ -58,12 +58,12 @@ class Function:
     """Energies by term, without Coulomb's, and their gradient, with arrays that positions do not change."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self.of = parameters
+        self.parameters = parameters
         pairs, lj, coulomb = parameters.pairs()
-        one, other = pairs.T
-        self.sigma = 0.5 * (parameters.sigma[one] + parameters.sigma[other])
-        self.well = lj * np.sqrt(parameters.epsilon[one] * parameters.epsilon[other])
-        self.charges = coulomb * COULOMB * parameters.charge[one] * parameters.charge[other]
+        i, j = pairs.T
+        self.sigma = 0.5 * (parameters.sigma[i] + parameters.sigma[j])
+        self.well = lj * np.sqrt(parameters.epsilon[i] * parameters.epsilon[j])
+        self.charges = coulomb * COULOMB * parameters.charge[i] * parameters.charge[j]
         # A row per pair, 1 and -1, since scattering by index costs ten times as much as this product.
         rows = np.tile([1.0, -1.0], len(pairs)), pairs.ravel(), 2 * np.arange(len(pairs) + 1)
         self.incidence = csr_array(rows, shape=(len(pairs), len(parameters.charge)))
@@ -76,29 +76,29 @@ class Function:
         return {name: part(x, gradient) for name, part in parts.items()}, gradient
 
     def _bonds(self, x: Floats, gradient: Floats) -> float:
-        (i, j), (rest, k) = self.of.bonds.atoms.T, self.of.bonds.parameters.T
+        (i, j), (r0, k) = self.parameters.bonds.atoms.T, self.parameters.bonds.parameters.T
         along = x[i] - x[j]
         r = np.linalg.norm(along, axis=1)
-        pull = (k * (r - rest) / r)[:, None] * along
+        pull = (k * (r - r0) / r)[:, None] * along
         np.add.at(gradient, i, pull)
         np.add.at(gradient, j, -pull)
-        return float(0.5 * np.sum(k * (r - rest) ** 2))
+        return float(0.5 * np.sum(k * (r - r0) ** 2))
 
     def _angles(self, x: Floats, gradient: Floats) -> float:
-        (i, j, k), (rest, stiffness) = self.of.angles.atoms.T, self.of.angles.parameters.T
+        (i, j, k), (angle0, stiffness) = self.parameters.angles.atoms.T, self.parameters.angles.parameters.T
         u, v = x[i] - x[j], x[k] - x[j]
         normal = cross(u, v)
         across = np.linalg.norm(normal, axis=1)
         angle = np.arctan2(across, np.sum(u * v, axis=1))
-        slope = (stiffness * (angle - rest) / np.maximum(across, 1e-12))[:, None]
+        slope = (stiffness * (angle - angle0) / np.maximum(across, 1e-12))[:, None]
         at_i = slope * cross(u, normal) / np.sum(u * u, axis=1)[:, None]
         at_k = slope * cross(normal, v) / np.sum(v * v, axis=1)[:, None]
         for atoms, force in ((i, at_i), (k, at_k), (j, -at_i - at_k)):
             np.add.at(gradient, atoms, force)
-        return float(0.5 * np.sum(stiffness * (angle - rest) ** 2))
+        return float(0.5 * np.sum(stiffness * (angle - angle0) ** 2))
 
     def _torsions(self, x: Floats, gradient: Floats) -> float:
-        atoms, (n, phase, height) = self.of.torsions.atoms, self.of.torsions.parameters.T
+        atoms, (n, phase, height) = self.parameters.torsions.atoms, self.parameters.torsions.parameters.T
         turn = dihedral(*x[atoms.T])
         slope = -n * height * np.sin(n * turn - phase)
         np.add.at(gradient, atoms, slope[:, None, None] * dihedral_slopes(x[atoms]))

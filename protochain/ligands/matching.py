@@ -14,7 +14,7 @@ from protochain.core.errors import StructureError
 from protochain.core.graph import neighbours
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, assembled, place, to_rdkit
+from protochain.ligands.molecule import Molecule, build_mol, place, to_rdkit
 
 _MOST_MATCHES = 1000
 """Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296."""
@@ -44,7 +44,7 @@ class Placed(Value):
     inverted: tuple[str, ...]
 
 
-def placed(
+def place_on_model(
     molecule: Molecule,
     elements: ArrayLike,
     names: tuple[str, ...],
@@ -58,19 +58,19 @@ def placed(
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
         raise StructureError(f"{molecule.source}: the model has coordinates that are not finite; mend them")
-    kept, heavy = np.flatnonzero(elements != 1), molecule.heavy
-    place_of = {names[k]: k for k in kept.tolist()}
+    model_heavy, heavy = np.flatnonzero(elements != 1), molecule.heavy
+    place_of = {names[k]: k for k in model_heavy.tolist()}
     chosen = np.array([place_of.get(molecule.names[i], -1) for i in heavy])
-    agree = len(kept) == len(heavy) and np.array_equal(elements[chosen], molecule.elements[heavy])
+    agree = len(model_heavy) == len(heavy) and np.array_equal(elements[chosen], molecule.elements[heavy])
     if not by_name or -1 in chosen or not agree:
-        chosen = _matched(molecule, elements, names, x, kept, hydrogens)
+        chosen = _match_heavy(molecule, elements, names, x, model_heavy, hydrogens)
     elif not _is_bonded(molecule, elements[chosen], x[chosen]):
         with suppress(StructureError):
-            chosen = _matched(molecule, elements, names, x, kept, hydrogens)
+            chosen = _match_heavy(molecule, elements, names, x, model_heavy, hydrogens)
     atoms = np.full(molecule.n_atoms, -1)
     atoms[heavy] = chosen
     renamed = tuple(names[i] if i >= 0 else name for i, name in zip(atoms, molecule.names, strict=True))
-    inverted = tuple("=".join(renamed[i] for i in each) for each in inverted_atoms(molecule, x[chosen]))
+    inverted = tuple("=".join(renamed[i] for i in centre) for centre in inverted_atoms(molecule, x[chosen]))
     moved = replace(molecule, names=renamed, positions=read_only(_with_hydrogens(molecule, x[chosen])))
     return Placed(moved, read_only(atoms, np.int64), inverted)
 
@@ -79,14 +79,14 @@ def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x:
     """Give atoms of a molecule the names of a model, elements (nm,), x (nm, 3) nm, which may lack some."""
     elements, heavy = np.asarray(elements), molecule.heavy
     if len(names) >= len(heavy):
-        places = _matched(molecule, elements, names, x, np.arange(len(names)), None)
-        called = {i: names[k] for i, k in zip(heavy.tolist(), places.tolist(), strict=True)}
+        places = _match_heavy(molecule, elements, names, x, np.arange(len(names)), None)
+        name_of = {i: names[k] for i, k in zip(heavy.tolist(), places.tolist(), strict=True)}
     else:
-        apart, reach, joined = _distances(elements, x)
-        found = _skeleton(molecule.elements, molecule.bonds).GetSubstructMatches(
+        distance, reach, joined = _distances(elements, x)
+        matches = _skeleton(molecule.elements, molecule.bonds).GetSubstructMatches(
             _skeleton(elements, joined), uniquify=False, maxMatches=_MOST_MATCHES
         )
-        if not found:
+        if not matches:
             raise StructureError(
                 f"{molecule.source}: is another molecule than the model has; give the one that it has"
             )
@@ -95,16 +95,16 @@ def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x:
             for pair, k in zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)
         }
         misfit = [
-            sum(abs(apart[i, j] - usual[frozenset((match[i], match[j]))] * reach[i, j]) for i, j in joined)
-            for match in found
+            sum(abs(distance[i, j] - usual[frozenset((match[i], match[j]))] * reach[i, j]) for i, j in joined)
+            for match in matches
         ]
-        called = dict(zip(found[int(np.argmin(misfit))], names, strict=True))
-    used = {*called.values()}
+        name_of = dict(zip(matches[int(np.argmin(misfit))], names, strict=True))
+    used = {*name_of.values()}
     for i, name in enumerate(molecule.names):
-        if i not in called:
-            called[i] = next(each for n in count() if (each := name + n * "X") not in used)
-            used.add(called[i])
-    return replace(molecule, names=tuple(called[i] for i in range(molecule.n_atoms)))
+        if i not in name_of:
+            name_of[i] = next(candidate for n in count() if (candidate := name + n * "X") not in used)
+            used.add(name_of[i])
+    return replace(molecule, names=tuple(name_of[i] for i in range(molecule.n_atoms)))
 
 
 def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
@@ -112,8 +112,8 @@ def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
     table = library("rdkit.Chem").GetPeriodicTable()
     radius = np.array([table.GetRcovalent(int(z)) for z in elements])
     reach = radius[:, None] + radius
-    apart = np.linalg.norm(x[:, None] - x, axis=2) * ANGSTROM_PER_NM
-    return apart, reach, np.argwhere(np.triu(apart < _REACH * reach, 1))
+    distance = np.linalg.norm(x[:, None] - x, axis=2) * ANGSTROM_PER_NM
+    return distance, reach, np.argwhere(np.triu(distance < _REACH * reach, 1))
 
 
 def _bonds_of_heavy(molecule: Molecule) -> tuple[Any, Integers]:
@@ -125,58 +125,58 @@ def _bonds_of_heavy(molecule: Molecule) -> tuple[Any, Integers]:
 
 def _is_bonded(molecule: Molecule, elements: Any, heavy: Floats) -> bool:
     """Whether the heavy atoms of each bond are near enough for one."""
-    apart, reach, _ = _distances(elements, heavy)
+    distance, reach, _ = _distances(elements, heavy)
     first, second = _bonds_of_heavy(molecule)[1].T
-    return bool((apart[first, second] < _REACH * reach[first, second]).all())
+    return bool((distance[first, second] < _REACH * reach[first, second]).all())
 
 
-def _matched(
+def _match_heavy(
     molecule: Molecule,
     elements: Any,
     names: tuple[str, ...],
     x: Floats,
-    kept: Integers,
+    indices: Integers,
     hydrogens: ArrayLike | None,
 ) -> Integers:
     """The model's atom of each heavy atom of a molecule."""
     heavy = molecule.heavy
-    inside, own = _bonds_of_heavy(molecule)
-    its = molecule.elements[heavy]
-    apart, reach, joined = _distances(elements[kept], x[kept])
-    here, whole = _formula(elements[kept]), _formula(its)
-    if here != whole:
-        if Counter(elements[kept].tolist()) < Counter(its.tolist()):
+    inside, bonds = _bonds_of_heavy(molecule)
+    target = molecule.elements[heavy]
+    distance, reach, joined = _distances(elements[indices], x[indices])
+    model, full = _formula(elements[indices]), _formula(target)
+    if model != full:
+        if Counter(elements[indices].tolist()) < Counter(target.tolist()):
             raise StructureError(
-                f"{molecule.source}: the model has {here} of {whole}; add what is missing to the file, or "
+                f"{molecule.source}: the model has {model} of {full}; add what is missing to the file, or "
                 "give the chemistry of what is there"
             )
         raise StructureError(
-            f"{molecule.source}: is another molecule than the model has: {here}, not {whole}; "
+            f"{molecule.source}: is another molecule than the model has: {model}, not {full}; "
             "give the one that it has"
         )
-    found = np.array(
-        _skeleton(elements[kept], joined).GetSubstructMatches(
-            _skeleton(its, own), uniquify=False, maxMatches=_MOST_MATCHES
+    matches = np.array(
+        _skeleton(elements[indices], joined).GetSubstructMatches(
+            _skeleton(target, bonds), uniquify=False, maxMatches=_MOST_MATCHES
         )
     )
-    if not len(found):
+    if not len(matches):
         raise StructureError(
-            f"{molecule.source}: is another molecule than the model has: both are {whole}, but bonded "
-            f"otherwise ({_difference(elements[kept], joined, its, own)}); give the one that it has"
+            f"{molecule.source}: is another molecule than the model has: both are {full}, but bonded "
+            f"otherwise ({_difference(elements[indices], joined, target, bonds)}); give the one that it has"
         )
-    made = to_rdkit(molecule)
-    orders = [1.5 if each.GetIsAromatic() else each.GetBondTypeAsDouble() for each in made.GetBonds()]
+    mol = to_rdkit(molecule)
+    orders = [1.5 if bond.GetIsAromatic() else bond.GetBondTypeAsDouble() for bond in mol.GetBonds()]
     usual = np.array([_SHORTER[order] for order in orders])[inside]
-    first, second = found[:, own].transpose(2, 0, 1)
-    beyond = apart[first, second] - usual * reach[first, second]
-    misfit = np.sqrt(np.mean(beyond**2, axis=1)) if len(own) else np.zeros(len(found))
-    likest = np.arange(len(found))
+    first, second = matches[:, bonds].transpose(2, 0, 1)
+    beyond = distance[first, second] - usual * reach[first, second]
+    misfit = np.sqrt(np.mean(beyond**2, axis=1)) if len(bonds) else np.zeros(len(matches))
+    likest = np.arange(len(matches))
     if hydrogens is not None:
         of_molecule = np.array([_hydrogens(molecule, i) for i in heavy.tolist()])
-        unlike = np.abs(np.asarray(hydrogens)[kept][found] - of_molecule).sum(1)
+        unlike = np.abs(np.asarray(hydrogens)[indices][matches] - of_molecule).sum(1)
         likest = np.flatnonzero(unlike == unlike.min())
     likest = likest[misfit[likest] <= misfit[likest].min() + _ALIKE]
-    places = kept[found]
+    places = indices[matches]
     best = min(likest.tolist(), key=lambda k: (len(inverted_atoms(molecule, x[places[k]])), misfit[k]))
     off = np.zeros(len(orders))
     off[inside] = beyond[best]
@@ -185,15 +185,15 @@ def _matched(
             f"{molecule.source}: fits the model badly: bonds differ by {misfit[best]:.2f} angstrom RMS; give "
             "the molecule that it has, or mend its coordinates"
         )
-    for ring in made.GetRingInfo().BondRings():
+    for ring in mol.GetRingInfo().BondRings():
         atoms = {i for k in ring for i in molecule.bonds[k].tolist()}
         kinds = {orders[k] for k in ring}
         # Single bonds that are too short, or aromatic ones that are too long.
         beyond_usual = off[[*ring]].mean() * {1.0: -1.0, 1.5: 1.0}.get(max(kinds), 0.0)
         is_plain = len(kinds) == 1 and {*molecule.elements[[*atoms]].tolist()} == {6}
         if is_plain and beyond_usual > _OTHER_RING:
-            called = dict(zip(heavy.tolist(), places[best].tolist(), strict=True))
-            where = ", ".join(names[called[i]] for i in sorted(atoms))
+            model_atom = dict(zip(heavy.tolist(), places[best].tolist(), strict=True))
+            where = ", ".join(names[model_atom[i]] for i in sorted(atoms))
             raise StructureError(
                 f"{molecule.source}: fits the model badly: bonds of the ring of {where} differ by "
                 f"{off[[*ring]].mean():+.2f} angstrom, as if it had others; give the molecule that it has"
@@ -209,17 +209,17 @@ def _hydrogens(molecule: Molecule, atom: int) -> int:
 def _skeleton(elements: Any, bonds: Any) -> Any:
     """Heavy atoms joined by single bonds, as RDKit's molecule."""
     n = len(elements)
-    return assembled([""] * n, elements, [0] * n, bonds, [1] * len(bonds), None)
+    return build_mol([""] * n, elements, [0] * n, bonds, [1] * len(bonds), None)
 
 
-def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
+def _difference(model_elements: Any, model_bonds: Any, source_elements: Any, source_bonds: Any) -> str:
     """Kinds of bonds of which the model lacks some, or else has more."""
-    model, given = (
+    model, source = (
         Counter(_formula(sorted(elements[list(pair)])) for pair in bonds)
-        for elements, bonds in ((here, joined), (whole, own))
+        for elements, bonds in ((model_elements, model_bonds), (source_elements, source_bonds))
     )
-    lacks = given - model or model - given
-    word = "lacks" if given - model else "has more of"
+    lacks = source - model or model - source
+    word = "lacks" if source - model else "has more of"
     noted = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
     return f"it {word} bonds: {noted}" if noted else "other atoms of the same elements are joined"
 
@@ -232,7 +232,7 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy
     near = neighbours(molecule.bonds, molecule.n_atoms)
-    found: list[tuple[int, ...]] = []
+    inverted: list[tuple[int, ...]] = []
     for centre in np.flatnonzero(molecule.handedness).tolist():
         ways = {i: x[i] - x[centre] for i in near[centre] if molecule.elements[i] != 1}
         ways = {i: way / max(np.linalg.norm(way), 1e-9) for i, way in ways.items()}
@@ -241,15 +241,15 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
         a, b, c = (ways.get(i, hydrogen) for i in near[centre][:3])
         volume = a @ np.cross(b, c)  # det would warn of NaN.
         if (volume if molecule.handedness[centre] == 2 else -volume) < _FLAT:
-            found.append((centre,))
+            inverted.append((centre,))
     for first, begin, end, last, cis in molecule.double_bonds.tolist():
         if 1 in molecule.elements[[first, last]]:
             continue
         axis = x[end] - x[begin]
         sides = np.cross(axis, x[first] - x[begin]) @ np.cross(axis, x[last] - x[end])
         if (sides if cis else -sides) < 0.0:
-            found.append((begin, end))
-    return found
+            inverted.append((begin, end))
+    return inverted
 
 
 def _with_hydrogens(molecule: Molecule, heavy: Floats) -> Floats:
@@ -257,14 +257,14 @@ def _with_hydrogens(molecule: Molecule, heavy: Floats) -> Floats:
     chem = library("rdkit.Chem")
     bare = chem.RemoveAllHs(to_rdkit(molecule))
     place(bare, heavy)
-    made = chem.AddHs(bare, addCoords=True)
-    new = made.GetConformer().GetPositions() / ANGSTROM_PER_NM
+    mol = chem.AddHs(bare, addCoords=True)
+    new = mol.GetConformer().GetPositions() / ANGSTROM_PER_NM
     x, near = np.zeros((molecule.n_atoms, 3)), neighbours(molecule.bonds, molecule.n_atoms)
     for number, parent in enumerate(molecule.heavy.tolist()):
         x[parent] = heavy[number]
-        theirs = [i for i in near[parent] if molecule.elements[i] == 1]
-        joined = [each.GetIdx() for each in made.GetAtomWithIdx(number).GetNeighbors()]
-        x[theirs] = new[[i for i in joined if i >= len(heavy)]]
+        hydrogens = [i for i in near[parent] if molecule.elements[i] == 1]
+        joined = [neighbour.GetIdx() for neighbour in mol.GetAtomWithIdx(number).GetNeighbors()]
+        x[hydrogens] = new[[i for i in joined if i >= len(heavy)]]
     return x
 
 

@@ -17,10 +17,10 @@ _MOST_ATOMS = 2000
 """Memory grows with their square."""
 
 
-def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
+def quietly(call: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
     """Call RDKit without its log, which goes to the terminal. Its exceptions are not caught."""
     with library("rdkit.rdBase").BlockLogs():
-        return call(*args, **named)
+        return call(*args, **keywords)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,95 +61,95 @@ class Molecule(Value):
 def to_rdkit(molecule: Molecule, positions: Floats | None = None) -> Any:
     """Return the molecule as RDKit's, sanitised, with other positions if they are given."""
     chem = library("rdkit.Chem")
-    made = assembled(
+    mol = build_mol(
         molecule.names, molecule.elements, molecule.formal_charges, molecule.bonds, molecule.orders,
         molecule.positions if positions is None else positions,
     )  # fmt: skip
-    for atom, tag in zip(made.GetAtoms(), molecule.handedness.tolist(), strict=True):
+    for atom, tag in zip(mol.GetAtoms(), molecule.handedness.tolist(), strict=True):
         atom.SetNoImplicit(True)
         atom.SetChiralTag(chem.ChiralType.values[tag])
-    chem.SanitizeMol(made)
+    chem.SanitizeMol(mol)
     for first, begin, end, last, cis in molecule.double_bonds.tolist():
-        bond = made.GetBondBetweenAtoms(begin, end)
+        bond = mol.GetBondBetweenAtoms(begin, end)
         ends = (first, last) if bond.GetBeginAtomIdx() == begin else (last, first)
         bond.SetStereoAtoms(*ends)
         bond.SetStereo(chem.BondStereo.STEREOCIS if cis else chem.BondStereo.STEREOTRANS)
-    chem.AssignStereochemistry(made)
-    return made
+    chem.AssignStereochemistry(mol)
+    return mol
 
 
 def in_mdl_aromaticity(molecule: Molecule) -> Any:
     """Return the molecule as RDKit's, with the aromaticity that patterns of SMIRNOFF mean."""
-    chem, made = library("rdkit.Chem"), to_rdkit(molecule)
-    chem.Kekulize(made, clearAromaticFlags=True)
-    chem.SetAromaticity(made, chem.AromaticityModel.AROMATICITY_MDL)
-    return made
+    chem, mol = library("rdkit.Chem"), to_rdkit(molecule)
+    chem.Kekulize(mol, clearAromaticFlags=True)
+    chem.SetAromaticity(mol, chem.AromaticityModel.AROMATICITY_MDL)
+    return mol
 
 
-def assembled(
+def build_mol(
     names: Sequence[str], elements: Any, charges: Any, bonds: Any, orders: Any, positions: Floats | None
 ) -> Any:
     """Return RDKit's molecule, not sanitised, with orders 1, 2, 3, or 12 (aromatic), and positions in nm."""
     chem = library("rdkit.Chem")
-    made = chem.RWMol()
+    mol = chem.RWMol()
     for name, element, charge in zip(names, elements, charges, strict=True):
         atom = chem.Atom(int(element))
         atom.SetFormalCharge(int(charge))
         atom.SetProp("name", name)
-        made.AddAtom(atom)
+        mol.AddAtom(atom)
     for (i, j), order in zip(bonds, orders, strict=True):
-        made.AddBond(int(i), int(j), chem.BondType.values[int(order)])
+        mol.AddBond(int(i), int(j), chem.BondType.values[int(order)])
         if order == 12:
-            made.GetBondBetweenAtoms(int(i), int(j)).SetIsAromatic(True)
-            made.GetAtomWithIdx(int(i)).SetIsAromatic(True)
-            made.GetAtomWithIdx(int(j)).SetIsAromatic(True)
+            mol.GetBondBetweenAtoms(int(i), int(j)).SetIsAromatic(True)
+            mol.GetAtomWithIdx(int(i)).SetIsAromatic(True)
+            mol.GetAtomWithIdx(int(j)).SetIsAromatic(True)
     if positions is not None:
-        place(made, positions)
-    return made
+        place(mol, positions)
+    return mol
 
 
-def place(made: Any, positions: Floats) -> None:
+def place(mol: Any, positions: Floats) -> None:
     """Give a molecule of RDKit these positions, in nm, in place of those it has."""
-    conformer = library("rdkit.Chem").Conformer(made.GetNumAtoms())
+    conformer = library("rdkit.Chem").Conformer(mol.GetNumAtoms())
     conformer.SetPositions(np.array(positions * ANGSTROM_PER_NM))
     conformer.Set3D(True)
-    made.RemoveAllConformers()
-    made.AddConformer(conformer)
+    mol.RemoveAllConformers()
+    mol.AddConformer(conformer)
 
 
-def from_rdkit(made: Any, source: str) -> Molecule:
+def from_rdkit(mol: Any, source: str) -> Molecule:
     """Return a sanitised molecule of RDKit as a value, with the hydrogens that it lacks."""
     chem = library("rdkit.Chem")
-    if made.GetNumAtoms() > _MOST_ATOMS:
-        raise StructureError(f"{source}: has {made.GetNumAtoms()} atoms; give a small molecule")
-    _draw_thiophosphates(made)
-    in_space = made.GetNumConformers() > 0 and made.GetConformer().Is3D()
-    if in_space and not np.isfinite(made.GetConformer().GetPositions()).all():
+    if mol.GetNumAtoms() > _MOST_ATOMS:
+        raise StructureError(f"{source}: has {mol.GetNumAtoms()} atoms; give a small molecule")
+    _draw_thiophosphates(mol)
+    in_space = mol.GetNumConformers() > 0 and mol.GetConformer().Is3D()
+    if in_space and not np.isfinite(mol.GetConformer().GetPositions()).all():
         raise StructureError(f"{source}: has coordinates that are not finite numbers; mend them")
-    made = chem.AddHs(made, addCoords=in_space)
-    names = _names(made)
-    n_pieces = len(chem.GetMolFrags(made))
+    mol = chem.AddHs(mol, addCoords=in_space)
+    names = _names(mol)
+    n_pieces = len(chem.GetMolFrags(mol))
     if n_pieces != 1:
         raise StructureError(f"{source}: has {n_pieces} molecules; give one, without its salt and water")
-    for name, atom in zip(names, made.GetAtoms(), strict=True):
+    for name, atom in zip(names, mol.GetAtoms(), strict=True):
         if atom.GetNumRadicalElectrons():
             raise StructureError(f"{source}: atom {name} lacks a bond or a charge; complete the file")
     if in_space:
-        chem.AssignStereochemistryFrom3D(made)
-    for atom in made.GetAtoms():
+        chem.AssignStereochemistryFrom3D(mol)
+    for atom in mol.GetAtoms():
         if _acid(atom):
             atom.SetChiralTag(chem.ChiralType.CHI_UNSPECIFIED)
             atom.ClearProp("_CIPCode")
-    chem.Kekulize(made, clearAromaticFlags=True)
-    double_bonds, stereo = _double_bonds(made, names)
+    chem.Kekulize(mol, clearAromaticFlags=True)
+    double_bonds, stereo = _double_bonds(mol, names)
     centres = [
         (name, atom.GetProp("_CIPCode"))
-        for name, atom in zip(names, made.GetAtoms(), strict=True)
+        for name, atom in zip(names, mol.GetAtoms(), strict=True)
         if atom.HasProp("_CIPCode")
     ]
-    atoms, bonds = made.GetAtoms(), made.GetBonds()
+    atoms, bonds = mol.GetAtoms(), mol.GetBonds()
     tags = {chem.ChiralType.values[tag]: tag for tag in (1, 2)}
-    positions = made.GetConformer().GetPositions() / ANGSTROM_PER_NM if in_space else None
+    positions = mol.GetConformer().GetPositions() / ANGSTROM_PER_NM if in_space else None
     return Molecule(
         names,
         read_only([a.GetAtomicNum() for a in atoms], np.int64),
@@ -164,15 +164,15 @@ def from_rdkit(made: Any, source: str) -> Molecule:
     )
 
 
-def _draw_thiophosphates(made: Any) -> None:
+def _draw_thiophosphates(mol: Any) -> None:
     """Draw P(=O)[S-] as P(=S)[O-], the same anion: its bond of P and S has the length of a double one."""
     chem = library("rdkit.Chem")
     query = chem.MolFromSmarts("[OX1;+0]=[PX4]-[SX1-]")
-    while match := made.GetSubstructMatch(query):
+    while match := mol.GetSubstructMatch(query):
         oxygen, phosphorus, sulphur = match
         for end, kind, charge in ((oxygen, "SINGLE", -1), (sulphur, "DOUBLE", 0)):
-            made.GetBondBetweenAtoms(phosphorus, end).SetBondType(chem.BondType.names[kind])
-            made.GetAtomWithIdx(end).SetFormalCharge(charge)
+            mol.GetBondBetweenAtoms(phosphorus, end).SetBondType(chem.BondType.names[kind])
+            mol.GetAtomWithIdx(end).SetFormalCharge(charge)
 
 
 def _acid(atom: Any) -> bool:
@@ -181,10 +181,10 @@ def _acid(atom: Any) -> bool:
     return sum(all(o.GetAtomicNum() in (1, atom.GetAtomicNum()) for o in e.GetNeighbors()) for e in ends) > 1
 
 
-def _double_bonds(made: Any, names: tuple[str, ...]) -> tuple[list[list[int]], list[tuple[str, str]]]:
+def _double_bonds(mol: Any, names: tuple[str, ...]) -> tuple[list[list[int]], list[tuple[str, str]]]:
     """Rows of ``double_bonds``, and the same as E and Z."""
     rows, letters = [], []
-    for bond in made.GetBonds():
+    for bond in mol.GetBonds():
         kind = str(bond.GetStereo())
         if kind in ("STEREOE", "STEREOZ", "STEREOCIS", "STEREOTRANS"):
             first, last = bond.GetStereoAtoms()
@@ -195,16 +195,16 @@ def _double_bonds(made: Any, names: tuple[str, ...]) -> tuple[list[list[int]], l
     return rows, letters
 
 
-def _names(made: Any) -> tuple[str, ...]:
+def _names(mol: Any) -> tuple[str, ...]:
     """Names of the atoms, if they are unique. Other names are made of element and number."""
-    given = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in made.GetAtoms()]
-    often = Counter(given)
-    used = {name for name in given if name and often[name] == 1}
+    stated = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in mol.GetAtoms()]
+    often = Counter(stated)
+    used = {name for name in stated if name and often[name] == 1}
     names = []
-    for name, atom in zip(given, made.GetAtoms(), strict=True):
+    for name, atom in zip(stated, mol.GetAtoms(), strict=True):
         if name not in used:
             made_up = (f"{atom.GetSymbol()}{number}" for number in count(1))
-            name = next(each for each in made_up if each not in used)
+            name = next(candidate for candidate in made_up if candidate not in used)
             used.add(name)
         names.append(name)
     return tuple(names)

@@ -81,21 +81,21 @@ Form = tuple[tuple[int, ...], tuple[int, ...]]
 
 def charges(molecule: Molecule) -> Floats:
     """Return the charges (na,), e, of the table, or as predicted, independent of the order of the atoms."""
-    made = in_mdl_aromaticity(molecule)
-    found = _tabulated(molecule, made)
-    return np.round(_predicted(molecule, _features(made)) if found is None else found, _DECIMALS)
+    mol = in_mdl_aromaticity(molecule)
+    tabulated = _look_up(molecule, mol)
+    return np.round(_predict(molecule, _features(mol)) if tabulated is None else tabulated, _DECIMALS)
 
 
 def outside(molecule: Molecule) -> tuple[str, ...]:
     """Return the names of the atoms that put a molecule outside the domain of the model."""
-    made = in_mdl_aromaticity(molecule)
-    if _tabulated(molecule, made) is not None:
+    mol = in_mdl_aromaticity(molecule)
+    if _look_up(molecule, mol) is not None:
         return ()
     chem = library("rdkit.Chem")
     strange = {i for i, z in enumerate(molecule.elements.tolist()) if z not in _ELEMENTS}
-    strange |= {atom.GetIdx() for atom in made.GetAtoms() if atom.GetDegree() > _MOST_BONDS}
+    strange |= {atom.GetIdx() for atom in mol.GetAtoms() if atom.GetDegree() > _MOST_BONDS}
     for pattern in _FORBIDDEN:
-        strange |= {i for match in made.GetSubstructMatches(chem.MolFromSmarts(pattern)) for i in match}
+        strange |= {i for match in mol.GetSubstructMatches(chem.MolFromSmarts(pattern)) for i in match}
     return tuple(molecule.names[i] for i in sorted(strange))
 
 
@@ -115,11 +115,11 @@ def _table() -> dict[str, list[str]]:
 
 @lru_cache(maxsize=1)
 def _reactions() -> list[Any]:
-    of = library("rdkit.Chem.rdChemReactions").ReactionFromSmarts
-    return [of(each) for each in _NORMALISATIONS]
+    parse = library("rdkit.Chem.rdChemReactions").ReactionFromSmarts
+    return [parse(smarts) for smarts in _NORMALISATIONS]
 
 
-def _predicted(molecule: Molecule, features: Floats) -> Floats:
+def _predict(molecule: Molecule, features: Floats) -> Floats:
     """Charges by the network, of features (na, 22)."""
     w, n = _weights(), molecule.n_atoms
     i, j = both_ways(molecule.bonds).T
@@ -131,65 +131,65 @@ def _predicted(molecule: Molecule, features: Floats) -> Floats:
         h = expit(h @ w["dense0"].T + w["dense_bias0"])
         initial, electronegativity, hardness = (h @ w["dense1"].T + w["dense_bias1"]).T
     free = initial - electronegativity / hardness
-    found: Floats = free + (molecule.charge - free.sum()) / hardness / np.sum(1.0 / hardness)
-    return found
+    charges: Floats = free + (molecule.charge - free.sum()) / hardness / np.sum(1.0 / hardness)
+    return charges
 
 
-def _tabulated(molecule: Molecule, made: Any) -> Floats | None:
+def _look_up(molecule: Molecule, mol: Any) -> Floats | None:
     """Charges of the table, averaged over equivalent atoms. None for a molecule that it lacks."""
     if len(molecule.heavy) > _LARGEST_TABULATED:
         return None
     chem = library("rdkit.Chem")
-    row = _table().get(quietly(chem.MolToInchi, made, "/LargeMolecules /FixedH"))
+    row = _table().get(quietly(chem.MolToInchi, mol, "/LargeMolecules /FixedH"))
     if row is None:
         return None
     reading = chem.SmilesParserParams()
     reading.removeHs = reading.sanitize = False
-    here, known = chem.RWMol(made), chem.RWMol(chem.MolFromSmiles(row[0], reading))
-    chem.Kekulize(here, clearAromaticFlags=True)
-    matches = here.GetSubstructMatches(known, uniquify=False)
+    target, entry = chem.RWMol(mol), chem.RWMol(chem.MolFromSmiles(row[0], reading))
+    chem.Kekulize(target, clearAromaticFlags=True)
+    matches = target.GetSubstructMatches(entry, uniquify=False)
     if not matches:  # One InChI has several ways to draw charges and orders of bonds.
-        for each in (here, known):
-            for bond in each.GetBonds():
+        for drawing in (target, entry):
+            for bond in drawing.GetBonds():
                 bond.SetBondType(chem.BondType.SINGLE)
-            for atom in each.GetAtoms():
+            for atom in drawing.GetAtoms():
                 atom.SetFormalCharge(0)
-        matches = here.GetSubstructMatches(known, uniquify=False)
+        matches = target.GetSubstructMatches(entry, uniquify=False)
     values = np.array(row[1:], dtype=float)
     return np.mean([values[np.argsort(match)] for match in matches], axis=0)
 
 
-def _features(made: Any) -> Floats:
+def _features(mol: Any) -> Floats:
     """Element, number of bonds, charge over resonance forms, and rings of each atom: (na, 22)."""
-    charge = _resonant_charges(_normalised(made))
+    charge = _resonant_charges(_normalise(mol))
     rows = []
-    for atom, q in zip(made.GetAtoms(), charge, strict=True):
+    for atom, q in zip(mol.GetAtoms(), charge, strict=True):
         element = [float(atom.GetAtomicNum() == z) for z in _ELEMENTS]
         degree = [float(atom.GetDegree() == k) for k in range(_MOST_BONDS + 1)]
         rows.append([*element, *degree, q, *(float(atom.IsInRingSize(k)) for k in _RINGS)])
     return np.array(rows)
 
 
-def _normalised(made: Any) -> Any:
+def _normalise(mol: Any) -> Any:
     """The molecule with charges and orders of bonds as the model was trained on, kekulised."""
     chem = library("rdkit.Chem")
-    made = chem.RWMol(made)
+    mol = chem.RWMol(mol)
     for reaction in _reactions():
-        for _ in range(made.GetNumAtoms()):
-            if not reaction.RunReactantInPlace(made):
+        for _ in range(mol.GetNumAtoms()):
+            if not reaction.RunReactantInPlace(mol):
                 break
-            made.UpdatePropertyCache(strict=False)
-    chem.SanitizeMol(made, chem.SANITIZE_SYMMRINGS)
-    chem.Kekulize(made)
-    return made
+            mol.UpdatePropertyCache(strict=False)
+    chem.SanitizeMol(mol, chem.SANITIZE_SYMMRINGS)
+    chem.Kekulize(mol)
+    return mol
 
 
-def _resonant_charges(made: Any) -> Floats:
+def _resonant_charges(mol: Any) -> Floats:
     """Formal charges (na,), each the mean over the resonance forms of lowest energy."""
-    atoms = list(made.GetAtoms())
+    atoms = list(mol.GetAtoms())
     form = (
         tuple(atom.GetFormalCharge() for atom in atoms),
-        tuple(int(bond.GetBondTypeAsDouble()) for bond in made.GetBonds()),
+        tuple(int(bond.GetBondTypeAsDouble()) for bond in mol.GetBonds()),
     )
     mean = np.array(form[0], dtype=float)
     # Hydrogen and saturated carbon pass on no electron pair.
@@ -216,12 +216,12 @@ def _lowest(form: Form, group: list[Any]) -> list[Form]:
     # lowest one or two moves lead to a lower one, and at one energy from each lowest to all.
     while (lower := next((to for cost, to in _steps(form, group) if cost < 0), None)) is not None:
         form = lower
-    found = {form[0]: form}
+    forms = {form[0]: form}
     reached = [form]
-    for each in reached:
-        for cost, to in _steps(each, group):
-            if cost == 0 and to[0] not in found:
-                found[to[0]] = to
+    for current in reached:
+        for cost, to in _steps(current, group):
+            if cost == 0 and to[0] not in forms:
+                forms[to[0]] = to
                 reached.append(to)
     return reached
 
@@ -232,10 +232,10 @@ def _steps(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
         if cost <= 0:
             yield cost, to
         else:
-            yield from ((cost + more, last) for more, last in _moves(to, group, -cost))
+            yield from ((cost + second_cost, last) for second_cost, last in _moves(to, group, -cost))
 
 
-def _moves(form: Form, group: list[Any], most: int) -> Iterator[tuple[int, Form]]:
+def _moves(form: Form, group: list[Any], limit: int) -> Iterator[tuple[int, Form]]:
     """Forms after a pair moved from donor to acceptor along bonds whose orders alternate, and cost."""
     charge, order = form
     bonds = {
@@ -249,20 +249,20 @@ def _moves(form: Form, group: list[Any], most: int) -> Iterator[tuple[int, Form]
         if (kind := _KINDS.get((atom.GetAtomicNum(), charge[i], around))) is not None:
             gives[i], cost[i] = kind[0], _PAIR - 2 * kind[1]
     for donor in (i for i in gives if gives[i]):
-        wanted = {i for i in gives if not gives[i] and cost[i] + cost[donor] <= most}
+        acceptors = {i for i in gives if not gives[i] and cost[i] + cost[donor] <= limit}
         paths: list[tuple[tuple[int, ...], tuple[int, ...]]] = [((donor,), ())]
-        while paths and wanted:
+        while paths and acceptors:
             path, along = paths.pop()
             step = 1 if len(along) % 2 else -1
             for i, bond in bonds[path[-1]].items():
                 if i not in bonds or i in path or (along and order[bond] - order[along[-1]] != step):
                     continue
                 paths.append(((*path, i), (*along, bond)))
-                if step > 0 and i in wanted:
-                    wanted.remove(i)
+                if step > 0 and i in acceptors:
+                    acceptors.remove(i)
                     orders, charges = list(order), list(charge)
-                    for k, each in enumerate((*along, bond)):
-                        orders[each] += -1 if k % 2 else 1
+                    for k, bond_index in enumerate((*along, bond)):
+                        orders[bond_index] += -1 if k % 2 else 1
                     charges[donor] += 1
                     charges[i] -= 1
                     yield cost[donor] + cost[i], (tuple(charges), tuple(orders))

@@ -247,8 +247,8 @@ def at_ph(
     The donors of a metal of the molecule do not change.
     """
     neutral = library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger()
-    made, rank = _numbered(molecule)
-    smiles = library("rdkit.Chem").MolToSmiles(quietly(neutral.uncharge, made))
+    mol, rank = _number_heavy(molecule)
+    smiles = library("rdkit.Chem").MolToSmiles(quietly(neutral.uncharge, mol))
     charge = net_charges().get(skeleton(molecule))
     shift = 0.0 if charge is None else _shift(smiles, charge, rank)
     state = _state(smiles, ph + shift, rank)
@@ -268,14 +268,14 @@ def unsure(molecule: Molecule, ph: float) -> tuple[str, ...]:
     """Names of atoms whose charge at a pH is doubtful: their wide class has this pKa, no rule covers them."""
     if skeleton(molecule) in net_charges():
         return ()
-    chem, (made, _) = library("rdkit.Chem"), _numbered(molecule)
-    neutral = quietly(library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger().uncharge, made)
+    chem, (mol, _) = library("rdkit.Chem"), _number_heavy(molecule)
+    neutral = quietly(library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger().uncharge, mol)
     states = _states(chem.MolToSmiles(neutral), ph, _UNSURE)
-    charges = [{_number(a): a.GetFormalCharge() for a in each.GetAtoms()} for each in states]
-    sites = {k for each in charges for k, charge in each.items() if charge != charges[0].get(k)}
+    charges = [{_number(a): a.GetFormalCharge() for a in state.GetAtoms()} for state in states]
+    sites = {k for by_atom in charges for k, charge in by_atom.items() if charge != charges[0].get(k)}
     for smarts in (*(rule.smarts for rule in RULES), _PHENOL):
-        for of in (made, neutral, *states):
-            sites -= {_number(of.GetAtomWithIdx(match[0])) for match in _matches(of, smarts)}
+        for form in (mol, neutral, *states):
+            sites -= {_number(form.GetAtomWithIdx(match[0])) for match in _matches(form, smarts)}
     return tuple(molecule.names[k] for k in sorted(sites))
 
 
@@ -283,7 +283,7 @@ def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tu
     """Return a molecule without the protons that metals displace, and the changes. Azoles retain theirs."""
     if not holding:
         return molecule, ()
-    state, rank = _numbered(molecule)
+    state, rank = _number_heavy(molecule)
     _apply(state, _AT_METAL, -1, rank, holding)
     for site in [atom for atom in state.GetAtoms() if _number(atom) in holding]:
         if site.GetSymbol() == "N" and site.GetIsAromatic() and site.GetTotalNumHs():
@@ -305,23 +305,23 @@ def _move_proton(state: Any, site: Any, rank: list[int], holding: Collection[int
     state.UpdatePropertyCache(strict=False)
 
 
-def _numbered(molecule: Molecule) -> tuple[Any, list[int]]:
+def _number_heavy(molecule: Molecule) -> tuple[Any, list[int]]:
     """Heavy atoms numbered by isotopes, since dimorphite-dl drops map numbers, and the rank of each atom."""
-    chem, made = library("rdkit.Chem"), to_rdkit(molecule)
-    rank = list(chem.CanonicalRankAtoms(made))
-    for atom in made.GetAtoms():
+    chem, mol = library("rdkit.Chem"), to_rdkit(molecule)
+    rank = list(chem.CanonicalRankAtoms(mol))
+    for atom in mol.GetAtoms():
         atom.SetIsotope(atom.GetIdx() + 1 if atom.GetAtomicNum() != 1 else 0)
-    return chem.RemoveAllHs(made), rank
+    return chem.RemoveAllHs(mol), rank
 
 
 def _in_state(molecule: Molecule, state: Any) -> tuple[Molecule, tuple[Charged, ...]]:
     """The molecule with charges, hydrogens and orders of bonds as its numbered heavy atoms have them."""
-    chem, made = library("rdkit.Chem"), to_rdkit(molecule)
+    chem, mol = library("rdkit.Chem"), to_rdkit(molecule)
     chem.Kekulize(state)
     surplus, changed = [], []
     for as_is in state.GetAtoms():
         number = _number(as_is)
-        atom = made.GetAtomWithIdx(number)
+        atom = mol.GetAtomWithIdx(number)
         hydrogens = [near.GetIdx() for near in atom.GetNeighbors() if near.GetAtomicNum() == 1]
         n = as_is.GetTotalNumHs()
         surplus += hydrogens[n:]
@@ -329,18 +329,18 @@ def _in_state(molecule: Molecule, state: Any) -> tuple[Molecule, tuple[Charged, 
             changed.append(Charged(molecule.names[number], atom.GetFormalCharge(), as_is.GetFormalCharge()))
         atom.SetFormalCharge(as_is.GetFormalCharge())
         atom.SetNumExplicitHs(max(0, n - len(hydrogens)))
-    if not surplus and not any(atom.GetNumExplicitHs() for atom in made.GetAtoms()):
+    if not surplus and not any(atom.GetNumExplicitHs() for atom in mol.GetAtoms()):
         return molecule, ()
     # Not by Kekulize: a ring with a hydrogen too many, as of histidinium made neutral, has no such form yet.
-    for each in (*made.GetAtoms(), *made.GetBonds()):
-        each.SetIsAromatic(False)
+    for part in (*mol.GetAtoms(), *mol.GetBonds()):
+        part.SetIsAromatic(False)
     for bond in state.GetBonds():
         ends = _number(bond.GetBeginAtom()), _number(bond.GetEndAtom())
-        made.GetBondBetweenAtoms(*ends).SetBondType(bond.GetBondType())
+        mol.GetBondBetweenAtoms(*ends).SetBondType(bond.GetBondType())
     for number in sorted(surplus, reverse=True):
-        made.RemoveAtom(number)
-    chem.SanitizeMol(made)
-    return from_rdkit(made, molecule.source), tuple(sorted(changed, key=lambda each: each.atom))
+        mol.RemoveAtom(number)
+    chem.SanitizeMol(mol)
+    return from_rdkit(mol, molecule.source), tuple(sorted(changed, key=lambda change: change.atom))
 
 
 @lru_cache(maxsize=1)
@@ -367,33 +367,33 @@ def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | N
     """Return a molecule with these numbers of hydrogens, each a charge. None if carbons gain or lose any."""
     # Others gain or lose one, all alike: of a tautomer bonds would change.
     chem = library("rdkit.Chem")
-    made = to_rdkit(molecule)
-    more = set()
+    mol = to_rdkit(molecule)
+    changes = set()
     surplus = []
-    for i, wanted in count.items():
-        here = made.GetAtomWithIdx(i)
-        hydrogens = [near.GetIdx() for near in here.GetNeighbors() if near.GetAtomicNum() == 1]
-        change = wanted - len(hydrogens)
+    for i, n_hydrogens in count.items():
+        atom = mol.GetAtomWithIdx(i)
+        hydrogens = [near.GetIdx() for near in atom.GetNeighbors() if near.GetAtomicNum() == 1]
+        change = n_hydrogens - len(hydrogens)
         if change:
-            more.add(change)
-            if here.GetAtomicNum() == 6:
+            changes.add(change)
+            if atom.GetAtomicNum() == 6:
                 return None
-        here.SetFormalCharge(here.GetFormalCharge() + change)
-        here.SetNumExplicitHs(max(change, 0))
-        surplus += hydrogens[wanted:]
-    if not more:
+        atom.SetFormalCharge(atom.GetFormalCharge() + change)
+        atom.SetNumExplicitHs(max(change, 0))
+        surplus += hydrogens[n_hydrogens:]
+    if not changes:
         return molecule
-    if more not in ({1}, {-1}):
+    if changes not in ({1}, {-1}):
         return None
     for i in sorted(surplus, reverse=True):
-        made.RemoveAtom(i)
+        mol.RemoveAtom(i)
     try:
-        quietly(chem.SanitizeMol, made)
-        made = chem.AddHs(made, addCoords=True)
-        x = made.GetConformer().GetPositions() / ANGSTROM_PER_NM
+        quietly(chem.SanitizeMol, mol)
+        mol = chem.AddHs(mol, addCoords=True)
+        x = mol.GetConformer().GetPositions() / ANGSTROM_PER_NM
         # The stereo is that of the source: at these positions it may be another.
-        made.RemoveAllConformers()
-        return replace(from_rdkit(made, molecule.source), positions=read_only(x))
+        mol.RemoveAllConformers()
+        return replace(from_rdkit(mol, molecule.source), positions=read_only(x))
     except (ValueError, StructureError):
         return None
 
@@ -418,9 +418,9 @@ def _state(smiles: str, ph: float, rank: list[int]) -> Any:
         and (atom.GetAtomicNum() == 7 or any(near.GetIsAromatic() for near in atom.GetNeighbors()))
     ]  # fmt: skip
     unsure = _states(smiles, ph, 1.0) if unlikely else []
-    keep = {_number(a) for each in unsure for a in each.GetAtoms() if not a.GetFormalCharge()}
+    uncertain = {_number(a) for form in unsure for a in form.GetAtoms() if not a.GetFormalCharge()}
     for atom in unlikely:
-        if _number(atom) in keep:
+        if _number(atom) in uncertain:
             _change(atom, 1)
     _settle_phenols(state, ph)
     for rule in RULES:
@@ -453,7 +453,7 @@ def _settle_phenols(state: Any, ph: float) -> None:
                 pka[site] = min(alone - slope * sum(at), pka.get(site, np.inf))
         if not pka or min(pka.values()) >= ph:
             return
-        _change(state.GetAtomWithIdx(min(pka, key=lambda each: (pka[each], each))), -1)
+        _change(state.GetAtomWithIdx(min(pka, key=lambda k: (pka[k], k))), -1)
         state.UpdatePropertyCache(strict=False)
 
 
@@ -505,8 +505,8 @@ def _draw_enolate(state: Any, site: Any) -> None:
 def _drawing(atom: Any) -> int:
     """Number of neighbours of an atom's neighbours, without saturated carbons."""
     sp3 = library("rdkit.Chem").HybridizationType.SP3
-    far = (each for near in atom.GetNeighbors() for each in near.GetNeighbors())
-    return sum(each.GetAtomicNum() != 6 or each.GetHybridization() != sp3 for each in far)
+    far = (second for near in atom.GetNeighbors() for second in near.GetNeighbors())
+    return sum(second.GetAtomicNum() != 6 or second.GetHybridization() != sp3 for second in far)
 
 
 def _change(atom: Any, gain: int) -> None:
@@ -521,12 +521,12 @@ def _number(atom: Any) -> int:
 
 def _states(smiles: str, ph: float, precision: float) -> list[Any]:
     """RDKit's molecule of each state. Sites whose pKa is within so many standard deviations have two."""
-    return [library("rdkit.Chem").MolFromSmiles(each) for each in _drawn(smiles, ph, precision)]
+    return [library("rdkit.Chem").MolFromSmiles(drawn) for drawn in _state_smiles(smiles, ph, precision)]
 
 
 @lru_cache(maxsize=64)
-def _drawn(smiles: str, ph: float, precision: float) -> tuple[str, ...]:
+def _state_smiles(smiles: str, ph: float, precision: float) -> tuple[str, ...]:
     """SMILES of the states, by dimorphite-dl."""
     protonated = library("dimorphite_dl").protonate_smiles
-    most = 128 if precision else 1
-    return tuple(protonated(smiles, ph_min=ph, ph_max=ph, precision=precision, max_variants=most))
+    limit = 128 if precision else 1
+    return tuple(protonated(smiles, ph_min=ph, ph_max=ph, precision=precision, max_variants=limit))

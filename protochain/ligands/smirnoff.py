@@ -97,23 +97,23 @@ def read(path: Path) -> ForceField:
     return ForceField(path, rules, scales["vdW"], scales["Electrostatics"])
 
 
-def parametrised(
+def assign_parameters(
     molecule: Molecule, force_field: ForceField, charges: Callable[[Molecule], Floats], own_charges: bool
 ) -> Parameters:
     """Give a molecule the parameters of a force field."""
-    found = _Typing(molecule, force_field)
+    typing = _Typing(molecule, force_field)
     if force_field.path in (SAGE_2_2, SAGE_2_3):
-        found.refuse_crowded()
-    found.refuse_unhandled({"LibraryCharges"} if own_charges else set())
-    types = found.of("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
-    bonds = found.of("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
+        typing.refuse_crowded()
+    typing.refuse_unhandled({"LibraryCharges"} if own_charges else set())
+    types = typing.of("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
+    bonds = typing.of("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
     # Both sulphurs of a dithiophosphate end at P alike, only one is drawn with a double bond.
-    for sulphur, phosphorus, other in found.matches(_DITHIOPHOSPHATE, 3):
-        bonds[_one_way((sulphur, phosphorus))] = bonds[_one_way((other, phosphorus))]
-    angles = found.of("Angles", _one_way, found.angles())
-    torsions = found.of("ProperTorsions", _one_way, found.torsions())
+    for sulphur, phosphorus, second in typing.matches(_DITHIOPHOSPHATE, 3):
+        bonds[_one_way((sulphur, phosphorus))] = bonds[_one_way((second, phosphorus))]
+    angles = typing.of("Angles", _one_way, typing.angles())
+    torsions = typing.of("ProperTorsions", _one_way, typing.torsions())
     rows = [(*atoms, *row) for atoms, rule in torsions.items() for row in rule.values]
-    for (i, centre, j, k), rule in found.of("ImproperTorsions", _centred, ()).items():
+    for (i, centre, j, k), rule in typing.of("ImproperTorsions", _sort_outer, ()).items():
         # The trefoil: three impropers about the centre, all in one sense of rotation.
         for outer in ((i, j, k), (j, k, i), (k, i, j)):
             rows.extend((centre, *outer, *row) for row in rule.values)
@@ -137,21 +137,21 @@ class _Typing:
     def __init__(self, molecule: Molecule, force_field: ForceField) -> None:
         self.molecule, self.force_field = molecule, force_field
         self.chem = library("rdkit.Chem")
-        self.made = in_mdl_aromaticity(molecule)
+        self.mol = in_mdl_aromaticity(molecule)
         self.near = neighbours(molecule.bonds, molecule.n_atoms)
 
-    def of(self, section: str, key: Callable[[Atoms], Atoms], wanted: Iterable[Atoms]) -> dict[Atoms, Rule]:
+    def of(self, section: str, key: Callable[[Atoms], Atoms], required: Iterable[Atoms]) -> dict[Atoms, Rule]:
         """The last rule that fits, by atoms. All wanted atoms have one."""
         rules = self.force_field.rules.get(section, ())
-        found = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
-        for atoms in wanted:
-            if key(atoms) not in found:
+        assigned = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
+        for atoms in required:
+            if key(atoms) not in assigned:
                 names = "-".join(self.molecule.names[i] for i in atoms)
                 raise ForceFieldError(
                     f"{self.molecule.source}: {self.force_field.path.name} has no {section} for {names}; "
                     "give a force field that has as ", Argument("forcefield"),
                 )  # fmt: skip
-        return found
+        return assigned
 
     def matches(self, rule: Rule, n: int = 0) -> set[Atoms]:
         query = quietly(self.chem.MolFromSmarts, rule.smirks)
@@ -159,15 +159,15 @@ class _Typing:
         atoms = query.GetAtoms() if query is not None else ()
         numbers = {atom.GetAtomMapNum(): atom.GetIdx() for atom in atoms if atom.GetAtomMapNum()}
         if query is None or (n and sorted(numbers) != [*range(1, n + 1)]):
-            what = f"is no SMIRKS pattern of {n} atoms" if n else "is no SMIRKS pattern"
-            raise ForceFieldError(f"{place}: {rule.smirks[:60]!r} {what}; mend it")
+            problem = f"is no SMIRKS pattern of {n} atoms" if n else "is no SMIRKS pattern"
+            raise ForceFieldError(f"{place}: {rule.smirks[:60]!r} {problem}; mend it")
         tagged = [numbers[number] for number in sorted(numbers)]
-        found = self.made.GetSubstructMatches(
+        hits = self.mol.GetSubstructMatches(
             query, uniquify=False, useChirality=True, maxMatches=_MOST_MATCHES
         )
-        if len(found) == _MOST_MATCHES:
+        if len(hits) == _MOST_MATCHES:
             raise ForceFieldError(f"{place}: fits {self.molecule.source} too often; make it more specific")
-        return {tuple(match[i] for i in tagged) for match in found}
+        return {tuple(match[i] for i in tagged) for match in hits}
 
     def refuse_crowded(self) -> None:
         """Refuse an atom with five or six neighbours: Sage has one angle for them, near 109 degrees."""
@@ -209,7 +209,7 @@ def _one_way(atoms: Atoms) -> Atoms:
     return atoms if atoms[0] < atoms[-1] else atoms[::-1]
 
 
-def _centred(atoms: Atoms) -> Atoms:
+def _sort_outer(atoms: Atoms) -> Atoms:
     """Atoms of an improper, the outer three sorted."""
     first, third, fourth = sorted((atoms[0], *atoms[2:]))
     return first, atoms[1], third, fourth
@@ -247,13 +247,13 @@ _FORMS = {
 }  # fmt: skip
 
 
-def _require(path: Path, node: ElementTree.Element, **wanted: str) -> None:
+def _require(path: Path, node: ElementTree.Element, **expected: str) -> None:
     """Refuse a section with another meaning than the computed one. Absent attributes have usual values."""
-    for name, value in wanted.items():
-        given = node.get(name, value)
-        if given != value and not (name.startswith("scale") and _number(given) == float(value)):
+    for name, value in expected.items():
+        stated = node.get(name, value)
+        if stated != value and not (name.startswith("scale") and _number(stated) == float(value)):
             raise ForceFieldError(
-                f"{path}: {name} of <{node.tag}> is {given[:60]!r}; only {value!r} is handled"
+                f"{path}: {name} of <{node.tag}> is {stated[:60]!r}; only {value!r} is handled"
             )
 
 
@@ -263,23 +263,23 @@ def _number(text: str) -> float | None:
 
 def _quantity(path: Path, node: ElementTree.Element, name: str, dimension: tuple[int, int, int]) -> float:
     """An attribute as ``0.5 * kilocalorie_per_mole / angstrom ** 2``, in nm, kJ/mol and rad."""
-    given = node.get(name, "")
+    text = node.get(name, "")
     place = f"{path}: {name} of <{node.tag}> {node.get('id', node.get('smirks', ''))[:60]}"
-    read = _QUANTITY.fullmatch(given)
+    read = _QUANTITY.fullmatch(text)
     value = _number(read[1]) if read else None
     if read is None or value is None:
-        raise ForceFieldError(f"{place} is {given[:60]!r}, not a number with its unit; mend it")
+        raise ForceFieldError(f"{place} is {text[:60]!r}, not a number with its unit; mend it")
     powers = np.zeros(3, dtype=int)
     for sign, plural, exponent in _FACTOR.findall(read[2]):
         unit = re.sub(r"s(?=_|$)", "", plural)
         if unit not in _UNITS:
             raise ForceFieldError(f"{place}: the unit {plural!r} is unknown; give one of {', '.join(_UNITS)}")
         power = int(exponent or 1) * (1 if sign == "*" else -1)
-        factor, its = _UNITS[unit]
+        factor, dimensions = _UNITS[unit]
         value *= factor**power
-        powers += power * np.array(its)
+        powers += power * np.array(dimensions)
     if tuple(powers) != dimension or not math.isfinite(value):
-        raise ForceFieldError(f"{place} is {given[:60]!r}, which has another dimension or no size; mend it")
+        raise ForceFieldError(f"{place} is {text[:60]!r}, which has another dimension or no size; mend it")
     return value
 
 

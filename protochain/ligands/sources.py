@@ -20,7 +20,7 @@ from protochain.core.optional_libraries import library
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.dictionary import component
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly, to_rdkit
+from protochain.ligands.molecule import Molecule, build_mol, from_rdkit, quietly, to_rdkit
 from protochain.ligands.tables import CATEGORY, of_header, stereo
 
 _LARGEST = 10_000_000
@@ -36,24 +36,24 @@ def of_residue(
     name: str,
     header: str = "",
     atoms: Mapping[str, tuple[str, int]] = MappingProxyType({}),
-    given: str | Path | None = None,
+    source: str | Path | None = None,
 ) -> Molecule:
     """Return the chemistry of a residue of a model, from the first of three sources that has it."""
-    if given is not None:
-        return read(given)
-    found, is_charged = _of_tables(header, name, atoms)
-    if found is None:
+    if source is not None:
+        return read(source)
+    molecule, is_charged = _of_tables(header, name, atoms)
+    if molecule is None:
         return from_dictionary(name)
     try:
-        known = from_dictionary(name)
+        component_molecule = from_dictionary(name)
     except StructureError:
-        return found
+        return molecule
     if is_charged:
         # Tables of the dictionary's own molecule lack its stereocentres.
-        is_same = name not in of_header(header) and _drawing(found) == _drawing(known)
-        return known if is_same else found
+        is_same = name not in of_header(header) and _drawing(molecule) == _drawing(component_molecule)
+        return component_molecule if is_same else molecule
     # Bonds without charges do not tell a sulphate from its acid, nor a part of a molecule from the whole.
-    return known if _heavy_bonds(found) <= _heavy_bonds(known) else found
+    return component_molecule if _heavy_bonds(molecule) <= _heavy_bonds(component_molecule) else molecule
 
 
 def _drawing(molecule: Molecule) -> tuple[dict[str, int], dict[frozenset[str], int]]:
@@ -72,18 +72,18 @@ def _heavy_bonds(molecule: Molecule) -> set[frozenset[str]]:
     }
 
 
-def read(given: str | Path) -> Molecule:
+def read(source: str | Path) -> Molecule:
     """Read a user's molecule: path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES."""
-    path, record = file_and_record(given)
-    if isinstance(given, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
+    path, record = file_and_record(source)
+    if isinstance(source, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
         return _from_file(path, record)
-    made = quietly(library("rdkit.Chem").MolFromSmiles, given)
-    if made is None or not made.GetNumAtoms():
+    mol = quietly(library("rdkit.Chem").MolFromSmiles, source)
+    if mol is None or not mol.GetNumAtoms():
         raise StructureError(
-            f"{_short(given)} is neither SMILES nor the name of a file with suffix {_LISTED}; "
+            f"{_short(source)} is neither SMILES nor the name of a file with suffix {_LISTED}; "
             "give one of them"
         )
-    return from_rdkit(made, _short(given))
+    return from_rdkit(mol, _short(source))
 
 
 @lru_cache(maxsize=64)
@@ -92,7 +92,7 @@ def from_dictionary(name: str) -> Molecule:
     try:
         atoms = component(_DRAWN_AS.get(name, name))
     except KeyError:
-        raise _unknown(name) from None
+        raise _unknown_chemistry(name) from None
     if name in _CATIONS:
         atoms = atoms[atoms.atom_name != "H82"]
     kinds = library("biotite.structure").BondType
@@ -100,24 +100,24 @@ def from_dictionary(name: str) -> Molecule:
     orders |= dict.fromkeys((kinds.DOUBLE, kinds.AROMATIC_DOUBLE), 2) | {kinds.TRIPLE: 3}
     table = atoms.bonds.as_array()
     ends, redrawn = atoms.atom_name[table[:, :2]].tolist(), _REDRAWN.get(name, {})
-    known = [redrawn.get(frozenset(a), orders.get(kinds(k))) for a, k in zip(ends, table[:, 2], strict=True)]
-    if None in known:
-        raise _unknown(name)
+    kekule = [redrawn.get(frozenset(a), orders.get(kinds(k))) for a, k in zip(ends, table[:, 2], strict=True)]
+    if None in kekule:
+        raise _unknown_chemistry(name)
     elements = [_atomic_number(symbol) for symbol in atoms.element]
     # Spin labels are taken for their hydroxylamines, NH2 ends a chain; nitric oxide is not nitroxyl.
     is_open = not {1, 6} & {*elements} and (sum(elements) - int(sum(atoms.charge))) % 2
     if is_open or len(elements) == 1:
-        what = "a radical" if is_open else "one atom"
+        problem = "a radical" if is_open else "one atom"
         raise StructureError(
-            f"{name} of the Chemical Component Dictionary: is {what}, without parameters; "
+            f"{name} of the Chemical Component Dictionary: is {problem}, without parameters; "
             "give the chemistry of what is meant"
         )
     x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
     charges = (atoms.charge + ((atoms.atom_name == "N7") & (name in _CATIONS))).tolist()
     source, names = f"{name} of the Chemical Component Dictionary", list(map(str, atoms.atom_name))
     ends = table[:, :2].tolist()
-    kept, made = _without_metals(source, names, elements, charges, ends, [k or 0 for k in known])
-    return _sanitised(assembled(*made, x[kept]), source)
+    indices, organic = _without_metals(source, names, elements, charges, ends, [k or 0 for k in kekule])
+    return _sanitise(build_mol(*organic, x[indices]), source)
 
 
 def text_of(path: Path) -> str:
@@ -133,9 +133,9 @@ def text_of(path: Path) -> str:
 def records(text: str, suffix: str) -> list[str]:
     """Molecules of an SDF or MOL2 file."""
     if suffix == ".mol2":
-        found = text.split(_MOL2)[1:]
-        return [f"{_MOL2}{each}" for each in found]
-    return [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
+        blocks = text.split(_MOL2)[1:]
+        return [f"{_MOL2}{block}" for block in blocks]
+    return [block for block in text.replace("\r\n", "\n").split("\n$$$$") if block.strip()]
 
 
 _FARTHEST = 1e5
@@ -159,11 +159,11 @@ def _record(path: Path, number: int) -> str:
     suffix = path.suffix.lower()
     if suffix not in MOLECULE_SUFFIXES:
         raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
-    found = records(text_of(path), suffix)
-    if number > len(found) or (not number and len(found) != 1):
-        one = f", as {path}#1" if found else ""
-        raise StructureError(f"{path}: has {len(found)} molecules; give a file with one, or one of its{one}")
-    return found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+    blocks = records(text_of(path), suffix)
+    if number > len(blocks) or (not number and len(blocks) != 1):
+        one = f", as {path}#1" if blocks else ""
+        raise StructureError(f"{path}: has {len(blocks)} molecules; give a file with one, or one of its{one}")
+    return blocks[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
 
 
 def _from_file(path: Path, number: int) -> Molecule:
@@ -171,23 +171,23 @@ def _from_file(path: Path, number: int) -> Molecule:
     source = f"{path}#{number}" if number else str(path)
     chem = library("rdkit.Chem")
     parse: Callable[..., Any] = chem.MolFromMol2Block if suffix == ".mol2" else chem.MolFromMolBlock
-    made = quietly(parse, text, removeHs=False)
-    if made is None:  # Without its checks RDKit says what is wrong.
-        made = quietly(parse, text, removeHs=False, sanitize=False)
-        if made is None:
+    mol = quietly(parse, text, removeHs=False)
+    if mol is None:  # Without its checks RDKit says what is wrong.
+        mol = quietly(parse, text, removeHs=False, sanitize=False)
+        if mol is None:
             raise StructureError(f"{source}: is no {suffix[1:].upper()} file that can be read; mend it")
-        return _sanitised(made, source)
-    for atom in made.GetAtoms():
+        return _sanitise(mol, source)
+    for atom in mol.GetAtoms():
         if atom.HasProp("_TriposAtomName"):
             atom.SetProp("name", atom.GetProp("_TriposAtomName"))
-    if not made.GetNumAtoms():
+    if not mol.GetNumAtoms():
         raise StructureError(f"{source}: has no atoms; give a file with one molecule")
-    if made.GetNumConformers() and np.abs(made.GetConformer().GetPositions()).max() > _FARTHEST:
+    if mol.GetNumConformers() and np.abs(mol.GetConformer().GetPositions()).max() > _FARTHEST:
         raise StructureError(f"{source}: an atom lies beyond {_FARTHEST:g} angstrom; correct it")
-    return from_rdkit(made, source)
+    return from_rdkit(mol, source)
 
 
-def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
+def _of_tables(header: str, name: str, model: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
     """Chemistry by ``_chem_comp_bond`` and ``_chem_comp_atom``, and whether the file has charges."""
     import gemmi
 
@@ -200,7 +200,7 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     if not bonds:
         return None, False
     atoms: dict[str, tuple[str, int]] = {}
-    is_charged = any(charge for _, charge in here.values())
+    is_charged = any(charge for _, charge in model.values())
     for row in block.find("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]):
         if row.str(0) == name:
             charge = row.str(3) if row.has(3) else ""
@@ -208,7 +208,7 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
     drawn = {end for row in bonds for end in row[:2]}
     # Hydrogens of which the table has no bond follow from the others.
-    atoms = atoms or {a: its for a, its in here.items() if a in drawn or its[0] not in ("H", "D")}
+    atoms = atoms or {a: atom for a, atom in model.items() if a in drawn or atom[0] not in ("H", "D")}
     # The table of bonds has leaving atoms and hydrogens, which a model may lack.
     bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
     names = list(atoms)
@@ -222,18 +222,18 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     charges = [charge for _, charge in atoms.values()]
     if not is_charged:
         charges = _by_valence(elements, pairs, orders)
-    _, bare = _without_metals(source, names, elements, charges, pairs, orders)
-    made = _sanitised(assembled(*bare, None), source)
-    own = [
+    _, organic = _without_metals(source, names, elements, charges, pairs, orders)
+    plain = _sanitise(build_mol(*organic, None), source)
+    stereo_rows = [
         {"kind": row.str(1), "atoms": row.str(2)}
         for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
         if row.str(0) == name
     ]
-    parity, double = stereo(own, made.names, made.bonds.tolist())
+    parity, double = stereo(stereo_rows, plain.names, plain.bonds.tolist())
     if not any(parity) and not double:
-        return made, is_charged
+        return plain, is_charged
     handed = replace(
-        made, handedness=read_only(parity, np.int64), double_bonds=read_only(double, np.int64).reshape(-1, 5)
+        plain, handedness=read_only(parity, np.int64), double_bonds=read_only(double, np.int64).reshape(-1, 5)
     )
     return from_rdkit(to_rdkit(handed), source), is_charged
 
@@ -271,15 +271,15 @@ def _without_metals(
     charges = list(charges)
     for k in donors:
         charges[k] = sum(order for *ends, order in bonds if k in ends) - _VALENCE.get(elements[k], 0)
-    kept = [k for k, is_metal in enumerate(metal) if not is_metal]
-    place = {k: n for n, k in enumerate(kept)}
+    indices = [k for k, is_metal in enumerate(metal) if not is_metal]
+    place = {k: n for n, k in enumerate(indices)}
     ends = [[place[i], place[j]] for i, j, _ in bonds]
-    n_molecules = len({*components(np.array(ends, dtype=int).reshape(-1, 2), len(kept)).tolist()})
-    if n_molecules > 1 or sum(elements[k] == 7 and charges[k] < 0 for k in kept) > _RING_ANIONS:
-        why = f"of {n_molecules} molecules" if n_molecules > 1 else "drawn without the charge of its ring"
-        raise StructureError(f"{source}: is a complex of a metal, {why}, without parameters")
-    found = [names[k] for k in kept], [elements[k] for k in kept], [charges[k] for k in kept]
-    return kept, (*found, ends, [order for *_, order in bonds])
+    n_molecules = len({*components(np.array(ends, dtype=int).reshape(-1, 2), len(indices)).tolist()})
+    if n_molecules > 1 or sum(elements[k] == 7 and charges[k] < 0 for k in indices) > _RING_ANIONS:
+        reason = f"of {n_molecules} molecules" if n_molecules > 1 else "drawn without the charge of its ring"
+        raise StructureError(f"{source}: is a complex of a metal, {reason}, without parameters")
+    fields = [names[k] for k in indices], [elements[k] for k in indices], [charges[k] for k in indices]
+    return indices, (*fields, ends, [order for *_, order in bonds])
 
 
 _VALENCE = {6: 4, 7: 3, 8: 2, 16: 2}
@@ -297,14 +297,14 @@ nitrogens of its ring. The chemistry equals heme b with ethyl for vinyl groups: 
 hydrogen."""
 
 
-def _sanitised(made: Any, source: str) -> Molecule:
+def _sanitise(mol: Any, source: str) -> Molecule:
     chem = library("rdkit.Chem")
     try:
-        quietly(chem.SanitizeMol, made)
+        quietly(chem.SanitizeMol, mol)
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise StructureError(f"{source}: is no molecule ({reason}); give its SDF or SMILES") from None
-    return from_rdkit(made, source)
+    return from_rdkit(mol, source)
 
 
 def _atomic_number(symbol: str) -> int:
@@ -314,7 +314,7 @@ def _atomic_number(symbol: str) -> int:
     return 1 if element.atomic_number == 1 or str(symbol).upper() == "D" else int(element.atomic_number)
 
 
-def _unknown(name: str) -> StructureError:
+def _unknown_chemistry(name: str) -> StructureError:
     return StructureError(
         f"the chemistry of {name!r} is unknown: neither its file nor the Chemical Component Dictionary has "
         "its bonds; give them as ", Argument("ligands", f"{name}=FILE.sdf"),

@@ -23,12 +23,12 @@ _UNIT = 0.01
 
 def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
     """Strain of a molecule at x (na, 3), kJ/mol. NaN if it is not finite, as for atoms at one place."""
-    every = np.ones(len(x), dtype=bool)
+    all_atoms = np.ones(len(x), dtype=bool)
     placed = nearest_minimum(parameters, x, np.asarray(elements) == 1)
-    free = nearest_minimum(parameters, placed, every)
+    free = nearest_minimum(parameters, placed, all_atoms)
     with np.errstate(all="ignore"):
-        there, least = (energy_and_gradient(parameters, each)[0] for each in (placed, free))
-    return max(there - least, 0.0) if np.isfinite(there) and np.isfinite(least) else float("nan")
+        energy, minimum = (energy_and_gradient(parameters, positions)[0] for positions in (placed, free))
+    return max(energy - minimum, 0.0) if np.isfinite(energy) and np.isfinite(minimum) else float("nan")
 
 
 def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]) -> Floats:
@@ -48,12 +48,12 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
 
     # An end by the change of the energy would depend on round-off, so only the gradient ends it.
     with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
-        found = minimize(
+        result = minimize(
             value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
             options={"gtol": _UNIT * _TOLERANCE, "ftol": 0, "maxiter": _MOST, "maxfun": _MOST, "maxcor": 20},
         )  # fmt: skip
     at = x.copy()
-    at[moving] = _UNIT * found.x.reshape(-1, 3)
+    at[moving] = _UNIT * result.x.reshape(-1, 3)
     return at
 
 

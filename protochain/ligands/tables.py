@@ -30,43 +30,43 @@ _KNOWN, _CLOCKWISE, _COUNTER, _CIS, _TRANS = "known", "clockwise", "counterclock
 
 def rows(component: str, molecule: Molecule) -> dict[str, Rows]:
     """Rows of ``_chem_comp_atom``, ``_chem_comp_bond`` and of our own table of stereo."""
-    made, letters = to_rdkit(molecule), dict(molecule.stereo)
-    names = [_quoted(name) for name in molecule.names]
-    of = _quoted(component)
+    mol, letters = to_rdkit(molecule), dict(molecule.stereo)
+    names = [_quote(name) for name in molecule.names]
+    comp_id = _quote(component)
     atoms = [
         {
-            "comp_id": of, "atom_id": names[k], "type_symbol": each.GetSymbol().upper(),
-            "charge": f"{each.GetFormalCharge()}", "pdbx_aromatic_flag": _flag(each.GetIsAromatic()),
+            "comp_id": comp_id, "atom_id": names[k], "type_symbol": atom.GetSymbol().upper(),
+            "charge": f"{atom.GetFormalCharge()}", "pdbx_aromatic_flag": _flag(atom.GetIsAromatic()),
             "pdbx_stereo_config": letters.get(molecule.names[k], "N"), "pdbx_ordinal": f"{k + 1}",
         }
-        for k, each in enumerate(made.GetAtoms())
+        for k, atom in enumerate(mol.GetAtoms())
     ]  # fmt: skip
     bonds = []
     for k, ((i, j), order) in enumerate(zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)):
         ends = (f"{molecule.names[a]}={molecule.names[b]}" for a, b in ((i, j), (j, i)))
         bonds.append({
-            "comp_id": of, "atom_id_1": names[i], "atom_id_2": names[j], "value_order": ORDERS[order],
-            "pdbx_aromatic_flag": _flag(made.GetBondBetweenAtoms(i, j).GetIsAromatic()),
+            "comp_id": comp_id, "atom_id_1": names[i], "atom_id_2": names[j], "value_order": ORDERS[order],
+            "pdbx_aromatic_flag": _flag(mol.GetBondBetweenAtoms(i, j).GetIsAromatic()),
             "pdbx_stereo_config": next((letters[end] for end in ends if end in letters), "N"),
             "pdbx_ordinal": f"{k + 1}",
         })  # fmt: skip
-    own = [
-        {"comp_id": of, "kind": kind, "atoms": _quoted(" ".join(theirs)) if theirs else "."}
-        for kind, theirs in _own(molecule)
+    stereo_rows = [
+        {"comp_id": comp_id, "kind": kind, "atoms": _quote(" ".join(members)) if members else "."}
+        for kind, members in _stereo_rows(molecule)
     ]
-    return {_ATOMS: atoms, _BONDS: bonds, CATEGORY: own}
+    return {_ATOMS: atoms, _BONDS: bonds, CATEGORY: stereo_rows}
 
 
 def heavy_rows(component: str, molecule: Molecule) -> dict[str, Rows]:
     """Rows without hydrogens, which follow from orders and charges."""
-    made = rows(component, molecule)
-    heavy = [row for row in made[_ATOMS] if row["type_symbol"] != "H"]
+    tables = rows(component, molecule)
+    heavy = [row for row in tables[_ATOMS] if row["type_symbol"] != "H"]
     names = {row["atom_id"] for row in heavy}
-    bonds = [row for row in made[_BONDS] if {row["atom_id_1"], row["atom_id_2"]} <= names]
-    return {**made, _ATOMS: heavy, _BONDS: bonds}
+    bonds = [row for row in tables[_BONDS] if {row["atom_id_1"], row["atom_id_2"]} <= names]
+    return {**tables, _ATOMS: heavy, _BONDS: bonds}
 
 
-def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
+def _stereo_rows(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
     """Rows that state known bonds with orders, stereocentres, and double bonds, with their neighbours."""
     near = neighbours(molecule.bonds, molecule.n_atoms)
     yield _KNOWN, []
@@ -90,9 +90,9 @@ def stereo(
             around = near[atoms[0]]
             # A hydrogen that the file has not gets another name.
             unnamed = [i for i in around if i not in atoms]
-            theirs = [unnamed[0] if i < 0 and len(unnamed) == 1 else i for i in atoms[1:]]
-            if sorted(theirs) == sorted(around):
-                same = (kind == _CLOCKWISE) == _even([theirs.index(i) for i in around])
+            order = [unnamed[0] if i < 0 and len(unnamed) == 1 else i for i in atoms[1:]]
+            if sorted(order) == sorted(around):
+                same = (kind == _CLOCKWISE) == _even([order.index(i) for i in around])
                 parity[atoms[0]] = 1 if same else 2
         bonded = -1 not in atoms and all(j in near[i] for i, j in pairwise(atoms))
         if kind in (_CIS, _TRANS) and len(atoms) == 4 and bonded:
@@ -104,11 +104,11 @@ def _even(order: Sequence[int]) -> bool:
     return sum(order[i] > order[j] for j in range(len(order)) for i in range(j)) % 2 == 0
 
 
-def as_remarks(found: Mapping[str, Rows], whole: Collection[str]) -> list[str]:
+def as_remarks(tables: Mapping[str, Rows], complete: Collection[str]) -> list[str]:
     """Return the remarks of a PDB file: our own table, and atoms and bonds of some components."""
     plain = {
-        category: [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in its]
-        for category, its in found.items() if category in (CATEGORY, _ATOMS, _BONDS)
+        category: [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in table]
+        for category, table in tables.items() if category in (CATEGORY, _ATOMS, _BONDS)
     }  # fmt: skip
     stated = [row for row in plain.get(CATEGORY, []) if row.keys() >= {"comp_id", "kind", "atoms"}]
     lines = [[row["comp_id"], row["kind"], row["atoms"]] for row in stated]
@@ -116,28 +116,28 @@ def as_remarks(found: Mapping[str, Rows], whole: Collection[str]) -> list[str]:
         lines += [
             [row["comp_id"], kind, *(row[item] for item in items)]
             for row in plain.get(category, [])
-            if row["comp_id"] in whole and row.keys() >= {*items}
+            if row["comp_id"] in complete and row.keys() >= {*items}
         ]
-    return [f"{_REMARK} {component:>3} {' '.join(rest)}".rstrip() for component, *rest in lines]
+    return [f"{_REMARK} {component:>3} {' '.join(words)}".rstrip() for component, *words in lines]
 
 
 def of_remarks(lines: Iterable[str]) -> dict[str, Rows]:
     """Return the tables that the remarks of a PDB file have."""
     cells = [line[len(_REMARK) :].split() for line in lines if line.startswith(_REMARK)]
-    found: dict[str, Rows] = {category: [] for category in (CATEGORY, *_IN_REMARKS)}
+    tables: dict[str, Rows] = {category: [] for category in (CATEGORY, *_IN_REMARKS)}
     categories = {kind: (category, items) for category, (kind, items) in _IN_REMARKS.items()}
-    for component, kind, *rest in (each for each in cells if len(each) > 1):
+    for component, kind, *words in (row for row in cells if len(row) > 1):
         category, items = categories.get(kind, (CATEGORY, ()))
-        if items and len(rest) == len(items):
-            values = dict(zip(items, map(_quoted, rest), strict=True))
-            found[category].append({"comp_id": _quoted(component), **values})
+        if items and len(words) == len(items):
+            values = dict(zip(items, map(_quote, words), strict=True))
+            tables[category].append({"comp_id": _quote(component), **values})
         elif not items:
-            atoms = _quoted(" ".join(rest)) if rest else "."
-            found[CATEGORY].append({"comp_id": _quoted(component), "kind": _quoted(kind), "atoms": atoms})
-    return found
+            atoms = _quote(" ".join(words)) if words else "."
+            tables[CATEGORY].append({"comp_id": _quote(component), "kind": _quote(kind), "atoms": atoms})
+    return tables
 
 
-def known(table: Iterable[Mapping[str, str]]) -> set[str]:
+def complete_components(table: Iterable[Mapping[str, str]]) -> set[str]:
     """Components whose bonds a file states completely, with their orders."""
     return {gemmi.cif.as_string(row["comp_id"]) for row in table if row["kind"] == _KNOWN}
 
@@ -152,5 +152,5 @@ def _flag(is_so: bool) -> str:
     return "Y" if is_so else "N"
 
 
-def _quoted(value: str) -> str:
+def _quote(value: str) -> str:
     return str(gemmi.cif.quote(value))

@@ -35,8 +35,8 @@ def test_what_is_not_there_is_not_found(name):
 
 
 def test_where_the_dictionary_lies_elsewhere_biotite_is_asked(monkeypatch, tmp_path, request):
-    dictionary._found.cache_clear()
-    request.addfinalizer(dictionary._found.cache_clear)
+    dictionary._decode.cache_clear()
+    request.addfinalizer(dictionary._decode.cache_clear)
     monkeypatch.setattr(biotite, "__file__", str(tmp_path / "__init__.py"))
     asked = []
     monkeypatch.setattr(biotite, "residue", lambda name: asked.append(name) or "theirs")

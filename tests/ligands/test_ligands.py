@@ -273,7 +273,7 @@ def test_a_model_is_matched_by_its_graph_and_its_stereo_compared(name):
     order = np.random.default_rng(1).permutation(source.heavy)
     names = tuple(f"X{i}" for i in range(len(order)))
     x = source.positions[order]
-    found = matching.placed(source, source.elements[order], names, x)
+    found = matching.place_on_model(source, source.elements[order], names, x)
     assert found.inverted == () and sorted(found.atoms[source.heavy]) == list(range(len(order)))
     inside = np.isin(source.bonds, source.heavy).all(1)
     now = order[found.atoms[source.bonds[inside]]]
@@ -284,7 +284,7 @@ def test_a_model_is_matched_by_its_graph_and_its_stereo_compared(name):
     ]
     weighted = [float(source.orders[inside] @ each) for each in lengths]
     assert weighted[0] <= weighted[1] + 1e-12
-    mirrored = matching.placed(source, source.elements[order], names, x * [1, 1, -1])
+    mirrored = matching.place_on_model(source, source.elements[order], names, x * [1, 1, -1])
     centres = [each for each, _ in source.stereo if "=" not in each]
     at = dict(zip(mirrored.molecule.names, source.names, strict=True))
     assert [at[each] for each in mirrored.inverted] == centres
@@ -296,12 +296,12 @@ def test_double_bonds_of_a_model_are_where_they_are_short():
     heavy = model.heavy
     smiles = "Nc1ncnc2c1ncn2[C@@H]1O[C@H](COP(=O)(O)OP(=O)(O)OP(=O)(O)O)[C@@H](O)[C@H]1O"
     given = sources.read(smiles)
-    found = matching.placed(
+    found = matching.place_on_model(
         given, model.elements[heavy], tuple(np.array(model.names)[heavy]), model.positions[heavy]
     )
     assert found.inverted == () and "C1'" in found.molecule.names
     other = sources.read(smiles.replace("[C@@H]1O[C", "[C@H]1O[C"))
-    found = matching.placed(
+    found = matching.place_on_model(
         other, model.elements[heavy], tuple(np.array(model.names)[heavy]), model.positions[heavy]
     )
     assert found.inverted == ("C1'",)
@@ -319,7 +319,7 @@ def test_double_bonds_of_a_model_are_where_they_are_short():
 def test_what_differs_between_model_and_molecule_is_named(given, said):
     model = embedded("CC(=O)Nc1ccc(O)cc1")
     with pytest.raises(pc.ProtochainError, match=said) as refused:
-        matching.placed(sources.read(given), model.elements, model.names, model.positions)
+        matching.place_on_model(sources.read(given), model.elements, model.names, model.positions)
     assert "\n" not in str(refused.value)
 
 
@@ -328,7 +328,7 @@ def test_hydrogens_of_the_model_tell_tautomers_apart():
     acid = sources.read("CC(=O)O")
     x = np.array([[-0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.06, 0.11, 0.0], [0.06, -0.11, 0.0]])
     for count in ([3, 0, 0, 1], [3, 0, 1, 0]):
-        found = matching.placed(acid, [6, 6, 8, 8], ("A", "B", "C", "D"), x, count)
+        found = matching.place_on_model(acid, [6, 6, 8, 8], ("A", "B", "C", "D"), x, count)
         hydroxyl = found.molecule.names[acid.names.index("O2")]
         assert hydroxyl == "ABCD"[count.index(1)]
 
@@ -336,10 +336,10 @@ def test_hydrogens_of_the_model_tell_tautomers_apart():
 def test_another_molecule_is_refused():
     source, other = sources.read(file("1P2Y_NCT")), sources.read(file("1N2J_PAF"))
     with pytest.raises(pc.ProtochainError, match="another molecule than the model has: C6O4, not C10N2"):
-        matching.placed(source, other.elements, other.names, other.positions)
+        matching.place_on_model(source, other.elements, other.names, other.positions)
     oxygens = np.where(source.elements == 7, 8, source.elements)
     with pytest.raises(pc.ProtochainError, match="another molecule than the model has: C10O2, not C10N2"):
-        matching.placed(source, oxygens, source.names, source.positions, by_name=True)
+        matching.place_on_model(source, oxygens, source.names, source.positions, by_name=True)
 
 
 @pytest.mark.parametrize(
@@ -471,11 +471,11 @@ def test_names_of_a_component_on_other_atoms_do_not_bond_these():
     names = list(own)
     for k, other in zip(carbons, np.roll(carbons, 2), strict=True):
         names[k] = own[other]
-    made = matching.placed(its, its.elements[heavy], tuple(names), x, by_name=True).molecule
+    made = matching.place_on_model(its, its.elements[heavy], tuple(names), x, by_name=True).molecule
     ends = made.positions[made.bonds[(made.elements[made.bonds] != 1).all(1)]]
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < BOND_NM
     x[carbons[0]] += 0.1
-    found = matching.placed(its, its.elements[heavy], tuple(own), x, by_name=True)
+    found = matching.place_on_model(its, its.elements[heavy], tuple(own), x, by_name=True)
     assert found.atoms[heavy].tolist() == [*range(len(heavy))]
 
 

@@ -159,7 +159,7 @@ def test_each_rule_redraws_what_rdkits_own_normaliser_redraws(drawn):
     """A molecule for each, in their order, which no other rule redraws; azides and n-oxides have two."""
     made = Chem.MolFromSmiles(drawn, sanitize=False)
     Chem.SanitizeMol(made, Chem.SANITIZE_SETAROMATICITY | Chem.SANITIZE_SYMMRINGS)
-    normalised = nagl._normalised(made), rdMolStandardize.Normalizer().normalize(made)
+    normalised = nagl._normalise(made), rdMolStandardize.Normalizer().normalize(made)
     for each in normalised:
         Chem.SanitizeMol(each, Chem.SANITIZE_SETAROMATICITY | Chem.SANITIZE_SYMMRINGS)
     ours, theirs, before = map(Chem.MolToSmiles, (*normalised, made))

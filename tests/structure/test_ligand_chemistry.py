@@ -435,7 +435,7 @@ def test_twenty_records_are_as_many_poses(tmp_path, name):
     found = poses(path)
     assert found == [f"{path}#{k}" for k in range(1, 21)]
     for k in (0, 9, 19):
-        molecule = of_residue("", given=Path(found[k]))
+        molecule = of_residue("", source=Path(found[k]))
         assert molecule.n_atoms == made[k % 2].GetNumAtoms()
 
 

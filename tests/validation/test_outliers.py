@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.validation.cbeta import LIMIT, cbeta_deviations
-from protochain.validation.findings import Found, remains
+from protochain.validation.findings import Findings, remains
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables
@@ -145,7 +145,7 @@ def test_peptide_bonds_turned_by_hand_are_cis_or_twisted():
             assert found.residue.tolist() == [1, 2, 3, 4] and found.proline.tolist() == [0, 1, 0, 0]
             if cis or twisted:
                 assert found.residue[found.cis | found.twisted].tolist() == [residue]
-            counts = Found(s, x).measures()
+            counts = Findings(s, x).measures()
             assert (counts["cis_peptides"], counts["cis_prolines"]) == (
                 cis * (residue == 1),
                 cis * (residue == 2),
@@ -173,9 +173,9 @@ def test_a_chain_that_ends_or_breaks_has_no_dihedral_there_and_a_ring_closes():
 
 def test_a_mirror_image_is_wrong_in_hand_and_c_beta_unless_it_is_named_so(tmp_path):
     s = load("1l2y.pdb")
-    own = Found(s, s.positions).measures()
+    own = Findings(s, s.positions).measures()
     assert own["inverted_stereocentres"] == 0
-    mirrored = Found(s, s.positions * [1.0, 1.0, -1.0])
+    mirrored = Findings(s, s.positions * [1.0, 1.0, -1.0])
     # Every residue but three glycines; isoleucine also at C-beta.
     assert mirrored.measures()["inverted_stereocentres"] == 17 + 1
     assert mirrored.measures()["cbeta_outliers"] == 17 and mirrored.cbeta.deviation.min() > 1.5
@@ -191,7 +191,7 @@ def test_a_mirror_image_is_wrong_in_hand_and_c_beta_unless_it_is_named_so(tmp_pa
     (tmp_path / "d.pdb").write_text(text)
     d = pc.load(tmp_path / "d.pdb")
     assert d.mirrored.sum() == 17 and d.residue_name.tolist() == s.residue_name.tolist()
-    again = Found(d, d.positions)
+    again = Findings(d, d.positions)
     # Only glycine, which has no name for its mirror image, is where its table does not know.
     kept = s.residue_name[again.ramachandran.residue] != "GLY"
     assert again.ramachandran.score[kept] == pytest.approx(ramachandran(s).score[kept], abs=1e-2)

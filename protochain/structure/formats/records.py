@@ -267,7 +267,7 @@ def component_type(name: str, residue: gemmi.Residue) -> str:
 
 def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Iterator[dict[str, str]]:
     """Yield bonds of components with repeated CONECT records (bond orders), unless remarks have the bonds."""
-    with_tables = tables.known(stated[tables.CATEGORY])
+    with_tables = tables.complete_components(stated[tables.CATEGORY])
     complete = {_plain(row["comp_id"]) for row in stated["_chem_comp_bond."]}
     at = {
         place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 from protochain.core.errors import StructureError
 from protochain.core.optional_libraries import library
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly
+from protochain.ligands.molecule import Molecule, build_mol, from_rdkit, quietly
 from protochain.structure.molecule.residues import BACKBONE
 
 _H, _C, _N, _O, _S = 1, 6, 7, 8, 16
@@ -158,7 +158,7 @@ class Graph:
         """As a value, with the hydrogens that lack."""
         names = [*self.atoms]
         place = {name: k for k, name in enumerate(names)}
-        made = assembled(
+        made = build_mol(
             names, [z for z, _ in self.atoms.values()], [q for _, q in self.atoms.values()],
             [sorted(place[end] for end in bond) for bond in self.bonds], [*self.bonds.values()], None,
         )  # fmt: skip

@@ -18,7 +18,7 @@ from protochain.core.arrays import read_only
 from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import StructureError
 from protochain.core.graph import neighbours
-from protochain.ligands import Ligand, parametrised
+from protochain.ligands import Ligand, assign_parameters
 from protochain.ligands.dictionary import leaving
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import at_ph
@@ -340,7 +340,7 @@ def _parametrised(
         graph.atoms[prefix + "OXT"] = [_O, -1]
         graph.bonds[frozenset((prefix + "C", prefix + "OXT"))] = 1
     molecule = graph.molecule(source) if acids or amines else made
-    return parametrised(replace(molecule, names=_names(molecule)), rule, charged=charged)
+    return assign_parameters(replace(molecule, names=_names(molecule)), rule, charged=charged)
 
 
 def _names(molecule: Molecule) -> tuple[str, ...]:

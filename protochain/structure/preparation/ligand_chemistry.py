@@ -19,9 +19,9 @@ from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands import Ligand, parametrised
+from protochain.ligands import Ligand, assign_parameters
 from protochain.ligands.dictionary import charges
-from protochain.ligands.matching import Placed, named_as, placed
+from protochain.ligands.matching import Placed, named_as, place_on_model
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
 from protochain.ligands.sources import of_residue
@@ -48,7 +48,7 @@ _DECIMALS = 5
 
 def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:
     """Return the molecule of a file as a residue outside the protein, and the chemistry with it."""
-    given = of_residue("", given=Path(path))
+    given = of_residue("", source=Path(path))
     if given.positions is None:
         raise StructureError(f"{path}: has no coordinates in space; dock it first")
     molecule, charged = _charged(chemistry, given, is_given=True)
@@ -122,7 +122,7 @@ class Chemist:
         of = vars(replace(molecule, positions=None, source="")).values()
         alike = tuple(its.tobytes() if isinstance(its, np.ndarray) else its for its in of)
         if alike not in self.made:
-            self.made[alike] = parametrised(molecule, self.chemistry.charges)
+            self.made[alike] = assign_parameters(molecule, self.chemistry.charges)
         return replace(self.made[alike], molecule=molecule, charged=charged)
 
     def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
@@ -213,7 +213,7 @@ def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
     n = [len(there[a.name]) for a in atoms]
     names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
     elements = [a.element.atomic_number for a in atoms]
-    return placed(molecule, elements, names, x, n if any(n) else None, by_name=by_name)
+    return place_on_model(molecule, elements, names, x, n if any(n) else None, by_name=by_name)
 
 
 def _atoms_of(molecule: Molecule, member: Member) -> list[gemmi.Atom]:
