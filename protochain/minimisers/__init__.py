@@ -1,4 +1,4 @@
-"""One loop for all minimisers; directions times step rules; OpenMM's minimiser as the reference."""
+"""One loop for all minimisers: directions combined with step rules. OpenMM's minimiser is the reference."""
 
 import lazy_loader
 

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from protochain.mechanics.motion.system import Phase
 
 LONGEST_TURN = 0.1
-"""rad. Largest turn of a freedom in one step; overlaps would otherwise throw the chain apart."""
+"""rad. Largest turn of a freedom in one step. It stops overlaps from throwing the chain apart."""
 _HALVINGS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class AnnealingState:
-    """Current point and velocity, and the number of steps taken."""
+    """Current point and velocity, and the number of steps so far."""
 
     at: Evaluation
     velocity: Floats
@@ -40,13 +40,13 @@ class Annealing:
     temperature: float = 0.0  # K: Initial; friction 1/ps, of the thermostat.
     n_steps: int = 1000
     friction: float = 10.0
-    time_step: float = 0.004  # ps: Shortened where a freedom would turn by more than ``LONGEST_TURN``.
+    time_step: float = 0.004  # ps: Shortened if a freedom would turn by more than ``LONGEST_TURN``.
     seed: int = 0  # Of the random forces and initial velocities.
     states = (AnnealingState,)
 
     def init(self, problem: Problem, at: Evaluation) -> AnnealingState:
         """Start at rest, or with velocities of the initial temperature."""
-        # Dynamics is imported where it is run: few minimisations need it, and it takes a while.
+        # Dynamics is imported on use: few minimisations need it, and the import is slow.
         from protochain.dynamics.loop import noise
 
         tree = _torsions(problem).chain.tree
@@ -59,7 +59,7 @@ class Annealing:
         self.step(problem, self.init(problem, at))
 
     def step(self, problem: Problem, state: AnnealingState) -> AnnealingState | None:
-        """State after one time step; None when all steps are taken."""
+        """State after one time step, or None after the last step."""
         from protochain.dynamics.loop import noise
         from protochain.dynamics.thermostats import Langevin
         from protochain.mechanics.motion.leapfrog import Leapfrog
@@ -96,7 +96,7 @@ class Annealing:
         return AnnealingState(seen[-1], phase.qd, n_steps)
 
     def _time_step(self, space: Torsions, phase: "Phase") -> float:
-        """Time step, shortened where velocities or accelerations would turn a freedom too far."""
+        """Time step, shortened if velocities or accelerations would turn a freedom too far."""
         rate = float(np.max(np.abs(phase.qd / space.scale), initial=0.0))
         acceleration = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale), initial=0.0))
         shortest = min(

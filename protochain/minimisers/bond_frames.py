@@ -1,9 +1,9 @@
-"""Frames that turn with the bonds of each atom, and steps that keep the lengths of bonds while they turn.
+"""Frames that turn with the bonds of each atom, and steps that preserve bond lengths while bonds turn.
 
-Soft motions of all atoms are turns about bonds. What is known of the energy at one point, a model of the
-Hessian or a pair of L-BFGS, belongs to the directions that bonds have there: in frames of the bonds it
-holds for the turned molecule, too, as corotational finite elements have it. A straight step along a turn
-stretches bonds by half its square over their length, which costs more than the turn gains.
+Soft motions of all atoms are turns about bonds. A model of the Hessian or an L-BFGS pair belongs to the bond
+directions at one point. In frames of the bonds it also applies to the turned molecule, as in corotational
+finite elements. A straight step along a turn stretches bonds by half its square over their length. This costs
+more energy than the turn gains.
 """
 
 import numpy as np
@@ -23,16 +23,16 @@ from protochain.mechanics.multibody.algebra import (
 )  # fmt: skip
 
 SWEEPS = 4
-"""Over all bonds. With one a run takes a tenth more evaluations, with eight no fewer."""
+"""Sweeps over all bonds. With one, a run needs a tenth more evaluations. With eight, it needs as many."""
 
 _SHORT, _THIN = 1e-4, 0.05
-"""nm, of a bond; sine of the angle of two: with less there is no frame."""
+"""Shortest bond, nm, and smallest sine of a bond angle, for which an atom has a frame."""
 
 
 def legs_of(bonds: Integers, mass: Floats) -> Integers:
-    """(na, 3) int: origin of each atom's frame, and the two atoms that it looks at; -1 for none."""
-    # The atom and its two heaviest neighbours; of an atom with one, that one, the atom, and the heaviest
-    # other.
+    """(na, 3) int: origin of each atom's frame, and the two atoms that define its axes, -1 for none."""
+    # The atom and its two heaviest neighbours. For an end atom: its neighbour, the atom itself, and the
+    # heaviest other neighbour of this neighbour.
     n = len(mass)
     ends = both_ways(bonds)
     atom, neighbour = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
@@ -51,7 +51,7 @@ def legs_of(bonds: Integers, mass: Floats) -> Integers:
 
 @kernel
 def _axes(x: Floats, legs: Integers, i: int) -> tuple[Vector, Vector, Vector]:
-    """Axes of an atom's frame; those of the world without one."""
+    """Axes of an atom's frame, or the world axes if it has none."""
     origin, first, last = legs[i, 0], legs[i, 1], legs[i, 2]
     if origin >= 0:
         at = vector(x, origin)
@@ -67,7 +67,7 @@ def _axes(x: Floats, legs: Integers, i: int) -> tuple[Vector, Vector, Vector]:
 
 @kernel
 def inward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
-    """Vectors (na, 3) of the world, in the atoms' frames at x (na, 3)."""
+    """Convert vectors (na, 3) from world axes to the atoms' frames at x (na, 3)."""
     components = np.empty_like(vectors)
     for i in range(len(vectors)):
         a, b, c = _axes(x, legs, i)
@@ -78,7 +78,7 @@ def inward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
 
 @kernel
 def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
-    """Vectors (na, 3) of the atoms' frames at x (na, 3), in the world."""
+    """Convert vectors (na, 3) from the atoms' frames at x (na, 3) to world axes."""
     world_vectors = np.empty_like(vectors)
     for i in range(len(vectors)):
         a, b, c = _axes(x, legs, i)
@@ -89,8 +89,8 @@ def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
 
 @kernel
 def apply_step(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
-    """Positions (na, 3) after a step, with bonds as long as to its first order."""
-    # weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
+    """Positions (na, 3) after a step, with bond lengths that are correct to first order in the step."""
+    # weight (na,): Inverse masses of the atoms, 0 for fixed ones.
     lengths, at = np.empty(len(bonds)), x + step
     for n in range(len(bonds)):
         i, j = bonds[n, 0], bonds[n, 1]

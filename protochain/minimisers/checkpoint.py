@@ -1,4 +1,4 @@
-"""Checkpoints of stopped runs: arrays and plain values; reading one runs no code."""
+"""Checkpoints of stopped runs, made of arrays and plain values. Reading one runs no code."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -17,7 +17,7 @@ from protochain.minimisers.problem import Evaluation, Tally
 from protochain.minimisers.stages import Stage, Waypoint
 
 _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
-"""Classes of every checkpoint; the others are the states that the method names."""
+"""Classes in every checkpoint. The method lists the other classes, its states."""
 
 
 def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any]) -> None:
@@ -44,7 +44,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], 
 
 
 def _plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> Any:
-    """Convert to values that JSON can hold; arrays are stored apart by name, each once."""
+    """Convert to values for JSON. Arrays are stored separately by name, each once."""
     if isinstance(value, np.ndarray):
         name = names.get(id(value), f"a{len(arrays)}")
         names[id(value)] = name
@@ -66,9 +66,9 @@ def _plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> 
 
 
 class _Reader:
-    """Inverse of :func:`_plain`, which takes only what the classes and the freedoms of a stage allow.
+    """Inverse of :func:`_plain`. It accepts only classes and shapes that a stage allows.
 
-    Metrics are computed again at the points they were computed at.
+    Metrics are recomputed at their original points.
     """
 
     def __init__(self, arrays: Mapping[str, np.ndarray], stage: Stage, x: Floats) -> None:
@@ -99,7 +99,7 @@ class _Reader:
         parts = {name: self.value(part) for name, part in tree["fields"].items()}
         hints = {**get_type_hints(kind), **self._own_hints(kind)}
         for name, part in parts.items():
-            # Positions stand in the run's frame only.
+            # Only these classes have positions; other arrays have the shape of velocities.
             _fit(part, hints.get(name, Any), name, self.x if kind in (Waypoint, Snapshot) else self.v)
         return kind(**parts)
 
@@ -110,7 +110,7 @@ class _Reader:
         return Evaluation(place, energy, fitting(torque, "torque", self.v), residual, restraint)
 
     def _own_hints(self, kind: type) -> dict[str, Any]:
-        """What a descent's direction and rule say of their own memories."""
+        """Types of the memories of a descent's direction and rule, from their annotations."""
         if kind is not DescentState:
             return {}
         method: Any = self.stage.method
@@ -119,7 +119,7 @@ class _Reader:
 
 
 def _fit(value: Any, hint: Any, name: str, shape: tuple[int, ...]) -> None:
-    """Refuse a value that is not of a type; arrays in it have a shape and are finite."""
+    """Raise an error if a value has another type, or an array in it another shape or infinite numbers."""
     if isinstance(value, np.ndarray):
         fitting(value, name, shape)
     if not _is(value, hint):

@@ -1,4 +1,4 @@
-"""Restraint on chiral atoms: inverted stereocentres are corrected, and none is lost."""
+"""Restraint on chiral atoms, which corrects inverted stereocentres and preserves the others."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,21 +11,21 @@ from protochain.structure.molecule.model import Structure
 from protochain.validation.stereocentres import expected_stereocentres
 
 _STIFFNESS = 1e8
-"""kJ/mol/nm^6. To invert an atom against it costs about 1000 kJ/mol, more than overlaps and springs give."""
+"""kJ/mol/nm^6. Inverting an atom costs about 1000 kJ/mol, more than overlaps and springs provide."""
 _HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
-"""nm^3, volumes below which an atom is pushed. Of heavy atoms they are 2.5e-3 in ideal residues, and 1.8e-3
-with a hydrogen; in frames of dynamics they are above 1.6e-3 and 1.0e-3."""
+"""nm^3, volumes below which an atom is pushed: of three heavy neighbours, and with a hydrogen. Ideal residues
+have 2.5e-3 and 1.8e-3. Frames of dynamics have more than 1.6e-3 and 1.0e-3."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChiralityRestraint:
     """Harmonic restraint on signed volumes: E = k/2 sum (v0 - v)^2 over the volumes v that are below v0.
 
-    Volumes are those that three bonds of an atom span; all triples of its bonds count, so that its hydrogen
-    comes to the right side too. An atom of usual shape feels nothing.
+    Three bonds of an atom span a volume. All triples of its bonds count, so that its hydrogen also moves to
+    the correct side. The restraint is zero at an atom of usual shape.
 
-    atoms (n, 4) int: Centre and three neighbours, in an order of which the volume is to be positive.
-    least (n,) nm^3: Volumes below which they are pushed.
+    atoms (n, 4) int: Centre and three neighbours, ordered for a positive volume.
+    least (n,) nm^3: Volumes v0, below which they are pushed.
     """
 
     atoms: Integers
@@ -34,7 +34,7 @@ class ChiralityRestraint:
     @staticmethod
     @lru_cache(maxsize=2)
     def of(structure: Structure) -> "ChiralityRestraint":
-        """Find the chiral atoms of a protein and its ligands, and which sign their volumes should have."""
+        """Find the chiral atoms of a protein and its ligands, and the expected signs of their volumes."""
         rows = list[tuple[int, ...]]()
         for centre, a, b, c in expected_stereocentres(structure).atoms.tolist():
             rows.append((centre, a, b, c))
@@ -46,7 +46,7 @@ class ChiralityRestraint:
 
     @classmethod
     def preserving(cls, structure: Structure) -> "ChiralityRestraint":
-        """Find the chiral atoms whose configuration is right at the structure's positions."""
+        """Find the chiral atoms whose configuration is correct at the structure's positions."""
         restraint = cls.of(structure)
         is_correct = ~np.isin(restraint.atoms[:, 0], restraint.inversions(structure.positions))
         return cls(restraint.atoms[is_correct], restraint.least[is_correct])

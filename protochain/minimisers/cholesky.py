@@ -1,9 +1,8 @@
 """Cholesky's factorisation of sparse symmetric matrices of 3x3 blocks, one row of blocks for each atom.
 
 The pattern of the factor follows from the elimination tree (Liu, SIAM J. Matrix Anal. Appl. 11:134, 1990),
-row by row (Davis, *Direct Methods for Sparse Linear Systems*, 2006, 4.1-4.3); columns are then computed from
-left to right. Blocks of 3x3 need a ninth of the indices of a general library: SuperLU takes nine times as
-long.
+row by row (Davis, *Direct Methods for Sparse Linear Systems*, 2006, 4.1-4.3). Columns are then computed from
+left to right. Blocks of 3x3 need a ninth of the indices of a general library. SuperLU is nine times slower.
 """
 
 from dataclasses import dataclass
@@ -17,9 +16,9 @@ from protochain.mechanics.multibody.algebra import kernel
 
 
 def elimination_order(n: int, pairs: Integers) -> Integers:
-    """Order of n rows that keeps the factor sparse, by multiple minimum degree."""
+    """Order of n rows for a sparse factor, by multiple minimum degree."""
     # pairs (m, 2) int -> (n,) int: Place of each row in the order.
-    # With that of other pairs, as of the start of a run, the factor takes 3 to 100 times the products.
+    # With the order for other pairs, as at the start of a run, the factor needs 3 to 100 times the products.
     i, j = pairs.T
     values = np.r_[np.full(2 * len(i), -1.0), np.full(n, 2.0 * len(i) + 1.0)]
     rows, columns = np.r_[i, j, np.arange(n)], np.r_[j, i, np.arange(n)]
@@ -47,7 +46,7 @@ class Factor:
 
 
 def factorise(place: Integers, atom_blocks: Floats, pairs: Integers, pair_blocks: Floats) -> Factor:
-    """Factorise a positive definite matrix: place (n,) int, own (n, 9), pairs (m, 2) int, shared (m, 9)."""
+    """Factorise a positive definite matrix, with blocks (n, 9) of atoms and (m, 9) of pairs (m, 2)."""
     start, rows, first, column, at = _pattern(place, pairs)
     blocks, inverse = np.zeros((len(rows), 9)), np.empty((len(place), 9))
     _put(place, atom_blocks, pairs, pair_blocks, start, rows, blocks, inverse)
@@ -118,7 +117,7 @@ def _put(
     place: Integers, atom_blocks: Floats, pairs: Integers, pair_blocks: Floats, start: Integers,
     rows: Integers, blocks: Floats, diagonal: Floats,
 ) -> None:  # fmt: skip
-    """Write the matrix into the pattern of its factor: blocks below the diagonal, and those on it."""
+    """Write the matrix into the pattern of its factor: blocks below the diagonal and on it."""
     for i in range(len(place)):
         for p in range(9):
             diagonal[place[i], p] = atom_blocks[i, p]
@@ -142,7 +141,7 @@ def _eliminate(
     start: Integers, rows: Integers, first: Integers, column: Integers, at: Integers, blocks: Floats,
     diagonal: Floats,
 ) -> None:  # fmt: skip
-    """Turn a matrix into its factor, and its diagonal blocks into the inverses of the factor's."""
+    """Convert a matrix to its factor, and its diagonal blocks to inverses of the factor's diagonal blocks."""
     n = len(diagonal)
     sums = np.zeros((n, 9))
     for j in range(n):
@@ -166,7 +165,7 @@ def _eliminate(
                     sums[i, r] -= u * a + v * b + w * c
                     sums[i, r + 1] -= u * d + v * f + w * g
                     sums[i, r + 2] -= u * h + v * p + w * q
-        # Lower triangle of the diagonal block's own factor, and its inverse.
+        # Lower triangle of the factor of the diagonal block, and its inverse.
         s = 1.0 / np.sqrt(pivot[0])
         x, y = pivot[3] * s, pivot[6] * s
         t = 1.0 / np.sqrt(pivot[4] - x * x)

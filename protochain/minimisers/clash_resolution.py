@@ -1,8 +1,8 @@
-"""Parting of overlaps by moves that stay local, before the force field takes over.
+"""Separation of overlapping atoms by local moves, before minimisation in the force field.
 
-The force field alone flings the chain: forces of 1e11 kJ/mol/nm at one contact turn a dihedral, and with it
-all that lies beyond. Soft repulsion parts the atoms first, tethers hold all others, and springs hold the
-chain while the force field puts right what is left.
+In the force field alone the chain flies apart. Forces of 1e11 kJ/mol/nm at one contact turn a dihedral and
+all atoms beyond it. Therefore soft repulsion separates the atoms first, while all others are tethered. Then
+springs restrain the chain while the force field resolves the remaining strain.
 """
 
 from dataclasses import dataclass, replace
@@ -32,50 +32,50 @@ from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import threaded_rings
 
 STRAINED_TORQUE = 1e5
-"""kJ/mol/rad. Largest torque from which on a start is strained; of fifty crystal and NMR structures without
-overlaps, as prepared, none has more than 6e4."""
+"""kJ/mol/rad. A start with a larger torque is strained. Fifty prepared crystal and NMR structures without
+overlaps have at most 6e4."""
 
 HANDOVER_TORQUE, HANDOVER_TORQUE_ALONE = 1e3, 1e4
-"""kJ/mol/rad. Largest torque with which torsions take over from a start that was parted: where all atoms
-could move instead, and where they could not. At 1e4 torsions still fling a chain whose bonds are strained."""
+"""kJ/mol/rad. Largest torques with which a stage in torsions starts after separation: if all atoms could move
+instead, and if they could not. At 1e4, torsions still fling a chain with strained bonds."""
 
 BACKBONE_TETHER = 2000.0
-"""kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
+"""kJ/mol/nm^2 on each heavy backbone atom while overlaps are separated, so that side chains yield."""
 
 LARGEST_MOVE = 0.6
-"""nm that any atom may be moved to part overlaps: as far as a long side chain reaches."""
+"""nm, largest move of an atom during separation: the reach of a long side chain."""
 
 SPRING = 4184.0
-"""kJ/mol/nm^2 on heavy atoms while the force field takes over: 10 kcal/mol/angstrom^2, as AlphaFold's
-relaxation has it (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
+"""kJ/mol/nm^2 on heavy atoms in the first stage with the force field. It is 10 kcal/mol/angstrom^2, as in
+AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
 
 SPRINGS_ON_BACKBONE = (1000.0, 100.0)
-"""kJ/mol/nm^2, one after the other, on the heavy atoms of the backbone alone: side chains find their places
-before they can press it apart."""
+"""kJ/mol/nm^2, in this order, on heavy backbone atoms only. Side chains relax before they can push the
+backbone apart."""
 
 SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
-"""kJ/mol/nm^2, one after the other: torsions have long levers."""
+"""kJ/mol/nm^2, in this order, because torsions have long levers."""
 
 _OVERLAP_FORCE = 20.0
 _HEAVY_FORCE = 10.0
 _SIDE_CHAIN_FORCE = 2.0
-"""kJ/mol/nm, RMS force: overlaps parted; all heavy atoms held; side chains settled."""
+"""kJ/mol/nm, RMS forces at which stages end: soft repulsion, springs on heavy atoms, springs on the backbone."""
 _TORSION_TORQUE = 300.0
-"""kJ/mol/rad."""
+"""kJ/mol/rad, largest torque at which stages with springs in torsions end."""
 _PATIENCE = 60
-"""Evaluations without a lower energy."""
+"""Evaluations without a lower energy, after which separation ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class TetheredModel:
-    """Model of the Hessian of tethered atoms, whose repulsion may be soft."""
+    """Model of the Hessian of tethered atoms, optionally with soft repulsion."""
 
     tether: Floats  # (na,) kJ/mol/nm^2.
-    is_soft: bool = False  # Whether near atoms repel each other as :class:`SoftRepulsion` has it.
+    is_soft: bool = False  # Whether near atoms repel each other as in :class:`SoftRepulsion`.
     refresh_every: int = 20  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Solver for the model made at a point."""
+        """Solver for the model at a point."""
         assert isinstance(space, Torsions | Cartesian)
         return space.stiffness(at, _soft_springs if self.is_soft else None, self.tether)
 
@@ -88,7 +88,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
 def torsion_clash_stages(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
-    """Stages that resolve clashes in torsions, then turn the force field on in steps."""
+    """Stages that resolve clashes in torsions, then weaken springs in the force field step by step."""
     structure = space.chain.structure
     plan: list[Stage] = []
     if overlap:
@@ -105,7 +105,7 @@ def all_atom_clash_stages(
     restraint: Force | None,
     overlap: bool,
 ) -> list[Stage]:
-    """Stages that free threaded rings and part overlaps in all atoms, then let the force field take over."""
+    """Stages that unthread rings and separate overlaps in all atoms, then minimise in the force field."""
     structure = space.structure
     plan: list[Stage] = []
     threaded = bool(threaded_rings(structure))
@@ -123,7 +123,7 @@ def all_atom_clash_stages(
 
 
 def unthreading_stages(space: Cartesian, energy: Energy) -> list[Stage]:
-    """Stages that free threaded rings, moving all atoms; none if nothing is known of an energy's bonds."""
+    """Stages that unthread rings by moving all atoms, or none if the bonds of an energy are not known."""
     bonded = bonded_part(energy)
     if bonded is None:
         return []
@@ -143,7 +143,7 @@ def backbone_atoms(structure: Structure) -> NDArray[np.bool_]:
 
 
 def soft_tethers(structure: Structure) -> Floats:
-    """(na,) float, kJ/mol/nm^2: tethers while overlaps are parted."""
+    """(na,) float, kJ/mol/nm^2: tethers while overlaps are separated."""
     return read_only(np.where(backbone_atoms(structure), BACKBONE_TETHER, restraints.SOFT_TETHER))
 
 
@@ -162,7 +162,7 @@ def _soft_stage(space: Torsions | Cartesian, gentle: Force, tolerance: float) ->
 
 
 def _with_springs(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
-    """Stage held by springs to where it starts, on all heavy atoms or on some."""
+    """Stage with springs to its initial positions, on all heavy atoms or on some."""
     atoms = _structure(stage.space).atom_element != "H" if atoms is None else atoms
     chirality = ChiralityRestraint.preserving(_structure(stage.space))
     fit = partial(_fit_springs, read_only(np.where(atoms, strength, 0.0)), chirality)
@@ -189,7 +189,7 @@ def _structure(space: Space) -> Structure:
 
 
 def run_if_unstrained(stage: Stage, energy: Energy | None = None) -> Stage:
-    """Stage in torsions that runs only where nothing overlaps and the largest torque is ordinary."""
+    """Stage in torsions that runs only if no atoms overlap and the largest torque is small enough."""
     fit = None if energy is None else partial(_rebuild_stage, energy)
     return replace(stage, ready=partial(_is_unstrained, energy), fit=fit)
 

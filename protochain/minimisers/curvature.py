@@ -1,11 +1,11 @@
 """Model of the Hessian from the force field's own near terms, each made positive by itself.
 
-Bonds, angles, dihedrals, and Lennard-Jones pairs up to :data:`REACH` hold nearly all of the stiffness that
-makes minimisation slow. Of a pair the curvature along its line is kept where it is positive, and that across
-it where the pair is stretched: max(0, U'') u u^T + max(0, U'/r) (1 - u u^T). Of angles and dihedrals the
-Gauss-Newton part is kept, U'' g g^T with g the gradient of the angle, and |U''| for dihedrals. A sum of such
-terms is positive. As the preconditioner of Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018), with the force
-field's own constants.
+Bonds, angles, dihedrals, and Lennard-Jones pairs up to :data:`REACH` cause nearly all of the stiffness that
+slows minimisation. A pair contributes its curvature along its line if this is positive, and its curvature
+across the line if it is stretched: max(0, U'') u u^T + max(0, U'/r) (1 - u u^T). Angles and dihedrals
+contribute the Gauss-Newton part, U'' g g^T with g the gradient of the angle, and |U''| for dihedrals. Any sum
+of these terms is positive. This is the preconditioner of Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018),
+with the force field's own constants.
 """
 
 from collections.abc import Callable
@@ -27,12 +27,12 @@ from protochain.minimisers.spring_model import CARTESIAN_FLOOR, Gradients, Near,
 from protochain.structure.molecule.model import Structure
 
 REACH = 0.4
-"""nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""
+"""nm, longest Lennard-Jones pair. Pairs up to 0.5 nm, and Coulomb forces, save no evaluations."""
 
 COUPLED = 1000.0
-"""kJ/mol/nm^2, stiffness from which on a Lennard-Jones pair couples its atoms; softer ones, nine of ten,
-enter by their diagonal blocks only. With all of them the factor has four times as many blocks, and runs take
-no fewer evaluations."""
+"""kJ/mol/nm^2, smallest stiffness of a Lennard-Jones pair that couples its atoms. Softer pairs, nine of ten,
+contribute to diagonal blocks only. With all of them the factor has four times as many blocks, and runs need
+as many evaluations."""
 
 FLOOR = 500.0
 """kJ/mol/nm^2, added for every atom. Values between 200 and 2000 perform alike."""
@@ -49,20 +49,19 @@ class NearTerms:
     bonds: Bonded  # Pairs, with (r0, k).
     angles: Bonded  # Three atoms, with (theta0, k).
     dihedrals: Integers  # (n, 4) int: Each once.
-    # (m, 3): Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant stiffness
-    # k.
+    # (m, 3): Cosines (n, phi0, k), grouped by dihedral; n = 0 is a constant stiffness k.
     waves: Floats
     first_wave: Integers  # (n + 1,) int: Of each dihedral.
     contacts: Bonded  # 1-4 pairs, with (A, B) of A/r^12 - B/r^6.
     lj_type: Integers  # (na,) int.
     a12: Floats  # a12, b6: (types, types): A and B of free pairs.
     b6: Floats
-    # Start of each atom's partners that are no free pairs, and the partners, of higher index.
+    # Excluded partners of higher index: start of each atom's partners, and the partners.
     partners: tuple[Integers, Integers]
 
     @cached_property
     def pairs(self) -> Integers:
-        """(n, 2) int: pairs of atoms that bonded terms and 1-4 pairs couple, sorted, the smaller first."""
+        """(n, 2) int: pairs of atoms that bonded terms and 1-4 pairs couple, sorted, lower index first."""
         return np.column_stack(np.divmod(self._keys, self.n_atoms))
 
     @cached_property
@@ -96,14 +95,14 @@ def near_terms(energy: Energy) -> NearTerms | None:
     Returns
     -------
     NearTerms or None
-        None if nothing is known of its terms, as of a callable; the metric is then that of springs.
+        None if its terms are not known, as of a callable. The metric then consists of springs.
     """
     terms = terms_of(energy)
     return None if terms is None else _near(terms)
 
 
 def terms_of(energy: Any) -> Terms | None:
-    """Terms of an energy as arrays; None if they are not known, as of a callable."""
+    """Terms of an energy as arrays, or None if they are not known, as of a callable."""
     terms: Terms | None = getattr(energy, "terms", None)
     return _read(energy) if terms is None and getattr(energy, "system", None) is not None else terms
 
@@ -142,7 +141,7 @@ def _concatenate(*groups: Bonded) -> Bonded:
 
 
 def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, Integers]:
-    """Dihedrals, each once, their cosines, and the first of each."""
+    """Unique dihedrals, their cosines, and the first cosine of each."""
     atoms = np.concatenate([torsions.atoms, impropers.atoms])
     # k (phi - phi0)^2 has the same curvature everywhere.
     constant = np.zeros((len(impropers.atoms), 3))
@@ -161,8 +160,8 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
 class Curvature:
     """Blocks of the Hessian's model."""
 
-    atom_blocks: Floats  # (na, 9): On its diagonal, row by row.
-    pairs: Integers  # (n, 2) int: Atoms that are coupled, the smaller index first.
+    atom_blocks: Floats  # (na, 9): Diagonal blocks, row by row.
+    pairs: Integers  # (n, 2) int: Coupled atoms, lower index first.
     pair_blocks: Floats  # (n, 9): Their blocks.
 
 
@@ -171,7 +170,7 @@ Stretches = tuple[Integers, Floats, Floats]
 
 
 def free_wells(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Stretches:
-    """Free Lennard-Jones pairs within :data:`REACH` of which one atom moves, with their curvatures."""
+    """Free Lennard-Jones pairs within :data:`REACH` with a moving atom, and their curvatures."""
     x = np.array(x)
     pairs = kernels.free_pairs(x, *terms.partners, np.array(moving), REACH)
     i, j = terms.lj_type[pairs.T]
@@ -219,7 +218,7 @@ def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float 
 
 def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Springs:
     """Bonds, 1-4 pairs and free pairs as springs along their lines, for :func:`springs.torsion_stiffness`."""
-    # What acts across a line would there also stiffen turns of rigid groups, which change no length.
+    # Curvature across a line would also stiffen turns of rigid groups, which change no length.
     parts = [*bonded_springs(terms, x), free_wells(terms, x, moving)]
     return Springs(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
 
@@ -240,7 +239,7 @@ def near_solver(
 def soft_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], floor: float
 ) -> Callable[[Floats], Floats]:
-    """Solver as of :func:`near_solver` with all pairs coupled and another floor, kJ/mol/nm^2."""
+    """Solver like :func:`near_solver`, with all pairs coupled and another floor, kJ/mol/nm^2."""
     return _solver(curvature(terms, x, free_wells(terms, x, moving), 0.0), moving, floor)
 
 
@@ -248,7 +247,7 @@ def springs_solver(
     structure: Structure, bonded: Springs, x: Floats, moving: NDArray[np.bool_], near_by: Near = contacts,
     tether: Floats | None = None, floor: float = CARTESIAN_FLOOR,
 ) -> Callable[[Floats], Floats]:  # fmt: skip
-    """Solver as of :func:`near_solver` for springs of bonds, angles, dihedrals and contacts."""
+    """Solver like :func:`near_solver`, for springs of bonds, angles, dihedrals and contacts."""
     near, x = near_by(structure, x, 3), np.array(x)
     atom_blocks, pair_blocks = np.zeros((len(x), 9)), np.zeros((len(bonded.pairs), 9))
     for springs, slots in ((bonded, np.arange(len(pair_blocks))), (near, np.full(len(near.pairs), -1))):
@@ -260,7 +259,7 @@ def springs_solver(
 
 def _solver(model: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
     model.atom_blocks[:, ::4] += added
-    # Pairs of atoms that both move, as places among these.
+    # Pairs of atoms that both move, as indices among the moving atoms.
     is_coupled = moving[model.pairs].all(axis=1)
     pairs = (np.cumsum(moving) - 1)[model.pairs[is_coupled]]
     order = elimination_order(int(moving.sum()), pairs)

@@ -17,7 +17,7 @@ from protochain.minimisers.steps import Rule
 class Direction(Protocol):
     """Search directions from torques, curvature and memory. Only ``propose`` has to be defined.
 
-    The memory consists of numbers, arrays, and tuples of them; it is empty at the start.
+    The memory consists of numbers, arrays, and tuples of them. It is empty at the start.
     """
 
     metric: Metric = Euclidean()
@@ -26,7 +26,7 @@ class Direction(Protocol):
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: Any
     ) -> Iterator[tuple[Floats, Any]]:
-        """Yield directions (n_v,), best first, each with the memory to keep if it is taken.
+        """Yield directions (n_v,), best first, each with the memory to store if the step succeeds.
 
         ``solve`` applies the inverse of the metric.
         """
@@ -78,7 +78,7 @@ class Descent:
         return DescentState(at, first, (), self.rule.init(at))
 
     def step(self, problem: Problem, state: DescentState) -> DescentState | None:
-        """State after one step; None if no direction leads to a next point."""
+        """State after one step, or None if no direction leads to a next point."""
         before, preconditioner = state.at, state.preconditioner
         for direction, memory in self.direction.propose(problem, before, preconditioner.solve, state.memory):
             if np.shape(direction) != before.torque.shape:

@@ -1,4 +1,4 @@
-"""OpenMM's minimiser on a device, as a method of the loop; positions stay there for a hundred iterations."""
+"""OpenMM's minimiser on a device, as a method of the loop. Positions stay there for a hundred iterations."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -8,25 +8,25 @@ from protochain.minimisers.restraints import Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 
 AT_A_TIME = 100
-"""Iterations between two looks: each time its L-BFGS begins anew, also where its line search has stumbled."""
+"""Iterations of a call. Each call restarts its L-BFGS, also after a failed line search."""
 
 _RESOLVED = 1e-6
-"""Of the energy: a step that gains less is the last, for single precision tells no more apart."""
+"""Share of the energy. A step that gains less is the last, as single precision resolves no more."""
 
 _STRICTER = 0.99
-"""Of the tolerance, so that the end meets it in double precision, too: forces are right to 1e-4 of it."""
+"""Share of the tolerance, so that the end also meets it in double precision. Forces are accurate to 1e-4."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeviceState:
-    """Where OpenMM's minimiser was last looked at."""
+    """Last point read from OpenMM's minimiser."""
 
     at: Evaluation
 
 
 @dataclass(frozen=True)
 class DeviceDescent:
-    """A hundred iterations of OpenMM's minimiser, to kJ/mol/nm; none where more than tethers hold atoms."""
+    """A hundred iterations of OpenMM's minimiser, to kJ/mol/nm. Other restraints than tethers prevent it."""
 
     tolerance: float
     states = (DeviceState,)
@@ -36,7 +36,7 @@ class DeviceDescent:
         return DeviceState(at)
 
     def step(self, problem: Problem, state: DeviceState) -> DeviceState | None:
-        """State after some iterations, each counted as an evaluation; None if they gain nothing."""
+        """State after some iterations, each counted as an evaluation, or None if they gain nothing."""
         energy: Any = problem.energy
         restraint, space = problem.restraint, problem.space
         parts = restraint.parts if isinstance(restraint, Sum) else [restraint] if restraint else []
