@@ -59,7 +59,7 @@ SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
 _OVERLAP_FORCE = 20.0
 _HEAVY_FORCE = 10.0
 _SIDE_CHAIN_FORCE = 2.0
-"""kJ/mol/nm, RMS forces at which stages end: soft repulsion, springs on heavy atoms, springs on the backbone."""
+"""kJ/mol/nm, RMS forces at which stages end: soft repulsion, springs on heavy atoms, springs on backbone."""
 _TORSION_TORQUE = 300.0
 """kJ/mol/rad, largest torque at which stages with springs in torsions end."""
 _PATIENCE = 60
