@@ -214,7 +214,7 @@ class _Files:
     def save_checkpoint(self) -> None:
         """Write the buffers and the checkpoint to the disk."""
         with self._saved():
-            n_bytes = self.rows.stored()
+            n_bytes = self.rows.sync()
             place = self.trajectory.sync() if self.trajectory else None
         state = {
             "rows": self.n_rows, "sound": self.n_sound, "bytes": n_bytes, "trajectory": place,

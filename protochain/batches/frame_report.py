@@ -10,7 +10,7 @@ from protochain.batches.frame_files import FramesRun
 from protochain.core.palette import looks
 from protochain.results.columns import heading
 from protochain.results.figures import data_url, panels, plain
-from protochain.results.page import explored, write_page
+from protochain.results.page import table_data, write_page
 from protochain.results.provenance import of_run
 
 _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
@@ -40,7 +40,7 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
         table=run.csv.name,
         counts=pd.DataFrame([{"frames": len(table), **run.counts}]),
         figure=figure and data_url(figure),
-        data=explored(rows[columns], [*first, "message"] if rows["message"].notna().any() else first),
+        data=table_data(rows[columns], [*first, "message"] if rows["message"].notna().any() else first),
         worst_by=heading(by),
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba", "MDAnalysis", "pandas"),
     )

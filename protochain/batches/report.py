@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.figures import panels, plain
-from protochain.results.page import explored, write_page
+from protochain.results.page import table_data, write_page
 from protochain.structure.preparation.losses import loss_lines
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
     columns.sort(key=lambda name: name not in _SHOWN)
     varying = [name for name in columns if name in _SHOWN or rows[name].nunique() > 1]
     drop = rows[[*first, *varying]].assign(energy_drop_kj_mol_per_residue=_drop(rows))
-    return explored(drop.assign(message=rows["message"]), _SHOWN, links, "method")
+    return table_data(drop.assign(message=rows["message"]), _SHOWN, links, "method")
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -12,7 +12,7 @@ from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
 from protochain.comparison import spread as of_spread
-from protochain.comparison.deviation import DOCKED, RmsdFrames
+from protochain.comparison.deviation import DOCKING, RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
@@ -242,7 +242,7 @@ _LISTED = {
 _MODEL = {"file": str | None, "model": int | None}
 _OF_FRAMES_SCORED = ["interface", *SCORES, *MAKEUP, *RESIDUES]
 _SCORED = {
-    **_row(["file", "structure", *_OF_FRAMES_SCORED, *CONFIDENCES, "message"]), **_optional(_row(DOCKED))
+    **_row(["file", "structure", *_OF_FRAMES_SCORED, *CONFIDENCES, "message"]), **_optional(_row(DOCKING))
 }  # fmt: skip
 _SHARES = {
     **_row("side chain residue name energy_kj_mol interaction_kj_mol desolvation_kj_mol"),
@@ -361,7 +361,7 @@ CONTRACTS: Mapping[str, Contract] = {
         (_SCORES_TOLD | {"results": [_SCORED, _FAILED]}, _FRAMES_TOLD),
         {
             "--csv": (_cells(_optional(_SCORED), _row("file message")),), "--residues": (_cells(_SHARES),),
-            "--trajectory": (_frames(_OF_FRAMES_SCORED, DOCKED),),
+            "--trajectory": (_frames(_OF_FRAMES_SCORED, DOCKING),),
         },
     ),
     "energy": Contract(

@@ -84,7 +84,7 @@ def modes(
     }  # fmt: skip
     record = write_modes(
         found, output, noted, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
-        other=other,
+        model=other,
     )  # fmt: skip
     if as_json:
         options.print_json(record)

@@ -25,10 +25,10 @@ def colourings(
     native = native_of(energy)
     result = list[Colouring]()
     if native is not None:
-        shares = {name: decomposed(each, native, each.positions).shares for name, each in ends.items()}
+        shares = {name: decomposed(model, native, model.positions).shares for name, model in ends.items()}
         result += of_energies(shares)
     if changes:
-        turned = {name: _of_residues(start, each, "torsions_degrees") for name, each in changes.items()}
+        turned = {name: _of_residues(start, change, "torsions_degrees") for name, change in changes.items()}
         result.append(Colouring("change of torsions, degrees", turned))
     if np.nan_to_num(start.b_factor).any():
         result.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
@@ -37,26 +37,26 @@ def colourings(
 
 def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
     """Total and terms of energies by residue, (terms, nr) each, and how the total changed from the first."""
-    totals = {name: each.sum(axis=0) for name, each in shares.items()}
+    totals = {name: values.sum(axis=0) for name, values in shares.items()}
     yield Colouring("energy, kJ/mol", totals, is_signed=True)
-    (_, start), *others = totals.items()
-    if others:
+    (_, start), *other_totals = totals.items()
+    if other_totals:
         yield Colouring(
-            "change of energy, kJ/mol", {name: total - start for name, total in others}, is_signed=True
+            "change of energy, kJ/mol", {name: total - start for name, total in other_totals}, is_signed=True
         )
     for k, term in enumerate(TERMS):
-        of_term = {name: each[k] for name, each in shares.items()}
-        if any(each.any() for each in of_term.values()):
+        of_term = {name: values[k] for name, values in shares.items()}
+        if any(values.any() for values in of_term.values()):
             yield Colouring(heading(f"{term}_kj_mol"), of_term, is_signed=True)
 
 
 def _of_residues(structure: Structure, changes: Differences, column: str) -> Floats:
     """(nr,) float: column of what changed, for all residues of its first structure; NaN of others."""
-    of = changes.residues
-    noted = dict(zip(zip(of["chain"], of["residue"], strict=True), of[column], strict=True))
+    table = changes.residues
+    values = dict(zip(zip(table["chain"], table["residue"], strict=True), table[column], strict=True))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     residues = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
-    return np.array([noted.get(name, np.nan) for name in residues], dtype=float)
+    return np.array([values.get(name, np.nan) for name in residues], dtype=float)
 
 
 def _mean_b_factor(structure: Structure) -> Floats:

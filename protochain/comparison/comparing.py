@@ -21,7 +21,7 @@ from protochain.structure import as_structure
 from protochain.structure.matching import match
 
 SETTINGS = tuple(
-    each.name for each in fields(MinimiseSettings) if each.name not in ("tolerance", "restraint", "max_rmsd")
+    f.name for f in fields(MinimiseSettings) if f.name not in ("tolerance", "restraint", "max_rmsd")
 )
 """Of a minimisation, those that a comparison has too: what holds a run to its start is for one run."""
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from protochain.comparison import plots
 from protochain.comparison.colourings import colourings
 from protochain.comparison.deviation import deviation
-from protochain.comparison.differences import Differences, joined, of_ends, totals_of
+from protochain.comparison.differences import Differences, concatenate, of_ends, totals_of
 from protochain.comparison.folder import clear
 from protochain.comparison.quality import quality
 from protochain.comparison.spread import spreads
@@ -216,8 +216,8 @@ class Comparison:
 
     def plot_ramachandran(self, ax: Any = None) -> Figure:
         """Ramachandran plots of the start and of every end."""
-        found = {name: ramachandran(end) for name, end in self.ends().items()}
-        angles = {name: np.column_stack([its.phi, its.psi]) for name, its in found.items()}
+        results = {name: ramachandran(end) for name, end in self.ends().items()}
+        angles = {name: np.column_stack([result.phi, result.psi]) for name, result in results.items()}
         return plots.plot_ramachandran(angles, self.structure.name, ax)
 
     def summary(self) -> dict[str, Any]:
@@ -300,8 +300,8 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "differences": pd.DataFrame(
             [{"method": name, **difference.totals} for name, difference in comparison.differences.items()]
         ),
-        "residue_differences": joined(comparison.differences, "residues"),
-        "bonds_changed": joined(comparison.differences, "bonds"),
+        "residue_differences": concatenate(comparison.differences, "residues"),
+        "bonds_changed": concatenate(comparison.differences, "bonds"),
     }
     # First, since it names the structures: what an incomplete comparison left can be replaced, too.
     write_text(directory / "summary.json", json_text(summary))
@@ -353,7 +353,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
         several=not of_one,
         quality=quality,
         changes=totals_of(comparison.differences),
-        bonds_changed=joined(comparison.differences, "bonds"),
+        bonds_changed=concatenate(comparison.differences, "bonds"),
         terms=energies_by_term({row["method"]: row for row in summary["results"]}),
         equal_cost=comparison.equal_cost,
         work=comparison.work,

@@ -151,17 +151,17 @@ def rmsd_table(
     return pd.DataFrame(rows)
 
 
-DOCKED = ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom", "hotspot_rmsd_angstrom")
+DOCKING = ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom", "hotspot_rmsd_angstrom")
 """Columns of :func:`docked`."""
 
 
-def docked(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float]:
+def docking_rmsds(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float]:
     """C-alpha RMSD of either side of a complex, superposed by itself, and of the second with the first."""
-    found, pairs = match(reference, model), list[tuple[Floats, Floats]]()
+    matches, pairs = match(reference, model), list[tuple[Floats, Floats]]()
     for side in sides(reference, first, second):
         atoms_of_side = np.flatnonzero(side[reference.atom_residue])
         at = _atoms(
-            reference, model, found, f"name CA and index {' '.join(map(str, atoms_of_side.tolist()))}"
+            reference, model, matches, f"name CA and index {' '.join(map(str, atoms_of_side.tolist()))}"
         )
         pairs.append((model.positions[at[1]], reference.positions[at[0]]))
     (x, y), (moved, fixed) = pairs
@@ -171,7 +171,7 @@ def docked(reference: Structure, model: Structure, first: str, second: str) -> d
         rmsd_angstrom(moved, fixed),
         deviation_angstrom(moved @ turn.T + shift, fixed),
     )
-    return dict(zip(DOCKED, values, strict=True))
+    return dict(zip(DOCKING, values, strict=True))
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class RmsdFrames:
     align: str = ALPHA  # align, measure: As in :func:`deviation`.
     measure: str = ALPHA
     name = "rmsd"
-    columns: ClassVar[tuple[str, ...]] = tuple(each.key for each in COLUMNS)
+    columns: ClassVar[tuple[str, ...]] = tuple(column.key for column in COLUMNS)
     at_a_time = 8
 
     def begin(self, structure: Structure, threads: int | None) -> Callable[[Structure], Any]:
@@ -198,9 +198,9 @@ class RmsdFrames:
         }  # fmt: skip
 
 
-def _atoms(reference: Structure, model: Structure, found: Match, selection: str) -> tuple[Integers, Integers]:
-    chosen = select(reference, selection)
-    counterpart = dict(zip(found.reference.tolist(), found.model.tolist(), strict=True))
+def _atoms(reference: Structure, model: Structure, matches: Match, query: str) -> tuple[Integers, Integers]:
+    chosen = select(reference, query)
+    counterpart = dict(zip(matches.reference.tolist(), matches.model.tolist(), strict=True))
     at = {
         (int(r), str(name)): k
         for k, (r, name) in enumerate(zip(model.atom_residue, model.atom_name, strict=True))
@@ -211,6 +211,6 @@ def _atoms(reference: Structure, model: Structure, found: Match, selection: str)
         if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k]))) in at
     ]
     if not pairs:
-        raise ProtochainError(f"{model.name}: no atom of {selection!r} matches {reference.name}")
+        raise ProtochainError(f"{model.name}: no atom of {query!r} matches {reference.name}")
     first, second = np.array(pairs, dtype=np.int64).T
     return first, second

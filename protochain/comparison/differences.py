@@ -66,12 +66,12 @@ class Differences(Value):
     totals: Mapping[str, Any]
 
     def __repr__(self) -> str:
-        of = self.totals
+        totals = self.totals
         return (
-            f"<Differences: C-alpha RMSD {of['ca_rmsd_angstrom']:.2f} angstrom, "
-            f"{of['rotamers_changed']} rotamers changed, "
-            f"hydrogen bonds +{of['hydrogen_bonds_gained']} -{of['hydrogen_bonds_lost']}, "
-            f"Q {of['contacts_kept']:.2f}>"
+            f"<Differences: C-alpha RMSD {totals['ca_rmsd_angstrom']:.2f} angstrom, "
+            f"{totals['rotamers_changed']} rotamers changed, "
+            f"hydrogen bonds +{totals['hydrogen_bonds_gained']} -{totals['hydrogen_bonds_lost']}, "
+            f"Q {totals['contacts_kept']:.2f}>"
         )
 
     def plot(self) -> "Figure":
@@ -83,23 +83,23 @@ class Differences(Value):
 
 def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
     """Differences of ends from a start, the first of them; none where no residue is an amino acid."""
-    (_, start), *others = ends.items()
+    (_, start), *other_ends = ends.items()
     if not layout(start).amino.any():
         return {}
-    return {name: differences(start, end) for name, end in others}
+    return {name: differences(start, end) for name, end in other_ends}
 
 
-def totals_of(found: Mapping[str, Differences]) -> pd.DataFrame:
+def totals_of(changes: Mapping[str, Differences]) -> pd.DataFrame:
     """Totals of several differences: a column each behind ``quantity``, which says them in words."""
-    keys = dict.fromkeys(key for difference in found.values() for key in difference.totals)
+    keys = dict.fromkeys(key for difference in changes.values() for key in difference.totals)
     rows = [
         {
             "quantity": _in_words(key),
-            **{name: difference.totals.get(key) for name, difference in found.items()},
+            **{name: difference.totals.get(key) for name, difference in changes.items()},
         }
         for key in keys
     ]
-    return pd.DataFrame(rows, columns=["quantity", *found])
+    return pd.DataFrame(rows, columns=["quantity", *changes])
 
 
 def _in_words(key: str) -> str:
@@ -114,12 +114,12 @@ def _in_words(key: str) -> str:
     return heading(key)
 
 
-def joined(found: Mapping[str, Differences], table: str) -> pd.DataFrame:
+def concatenate(changes: Mapping[str, Differences], table: str) -> pd.DataFrame:
     """One table, ``residues`` or ``bonds``, of several differences, the name of each in ``method``."""
-    parts = [getattr(difference, table) for difference in found.values()]
+    parts = [getattr(difference, table) for difference in changes.values()]
     if not parts:
         return pd.DataFrame(columns=["method"])
-    return pd.concat(parts, keys=found, names=["method"]).reset_index(level=0).reset_index(drop=True)
+    return pd.concat(parts, keys=changes, names=["method"]).reset_index(level=0).reset_index(drop=True)
 
 
 def differences(before: Any, after: Any) -> Differences:
@@ -156,10 +156,10 @@ def differences(before: Any, after: Any) -> Differences:
     0
     """
     first, second = as_structure(before), as_structure(after)
-    found = match(first, second)
-    turned = _turn_angles(first, second, found)
+    pairs = match(first, second)
+    turned = _turn_angles(first, second, pairs)
     alphas = [
-        layout(s).atoms("CA")[indices, 0] for s, indices in ((first, found.reference), (second, found.model))
+        layout(s).atoms("CA")[indices, 0] for s, indices in ((first, pairs.reference), (second, pairs.model))
     ]
     has_alpha = (np.array(alphas) != NONE).all(axis=0)
     x, y = first.positions[alphas[0]], second.positions[alphas[1]]
@@ -168,23 +168,23 @@ def differences(before: Any, after: Any) -> Differences:
     domains, parts = np.zeros(len(has_alpha), dtype=int), rigid_domains(x[has_alpha], y[has_alpha])
     for k, part in enumerate(parts, 1):
         domains[np.flatnonzero(has_alpha)[part.members]] = k
-    names = [_rotamers(s, indices) for s, indices in ((first, found.reference), (second, found.model))]
+    names = [_rotamers(s, indices) for s, indices in ((first, pairs.reference), (second, pairs.model))]
     number = np.char.add(first.residue_number, first.residue_insertion_code)
     table = pd.DataFrame(
         {
-            "chain": first.residue_chain[found.reference], "residue": number[found.reference],
-            "name": first.residue_name[found.reference],
-            "secondary_structure": secondary_structure(first)[found.reference], "domain": domains,
+            "chain": first.residue_chain[pairs.reference], "residue": number[pairs.reference],
+            "name": first.residue_name[pairs.reference],
+            "secondary_structure": secondary_structure(first)[pairs.reference], "domain": domains,
             **dict(zip(TORSIONS, turned.T, strict=True)),
             "torsions_degrees": _root_mean_square(turned),
             "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": moved,
         }
     )  # fmt: skip
-    bonds, counts = _bonds(first, second, found)
-    same = first.residue_name[found.reference] == second.residue_name[found.model]
+    bonds, counts = _bonds(first, second, pairs)
+    same = first.residue_name[pairs.reference] == second.residue_name[pairs.model]
     changed = (names[0] != names[1]) & same & (names[0] != "") & (names[1] != "")
     totals: dict[str, Any] = {"rotamers_changed": int(changed.sum()), **counts}
-    totals["contacts_kept"] = _contacts_kept(first, second, found)
+    totals["contacts_kept"] = _contacts_kept(first, second, pairs)
     totals["ca_rmsd_angstrom"] = rmsd_angstrom(y[has_alpha], x[has_alpha])
     for column in ("chain", "secondary_structure"):
         for value in dict.fromkeys(table[column]):
@@ -199,15 +199,15 @@ def differences(before: Any, after: Any) -> Differences:
     return Differences(table, bonds, totals)
 
 
-def _turn_angles(first: Structure, second: Structure, found: Match) -> Floats:
+def _turn_angles(first: Structure, second: Structure, matches: Match) -> Floats:
     """(n, 7) float, degrees from -180 to 180: changes of ``TORSIONS``; NaN where either has none."""
     angles = []
-    for s, indices in ((first, found.reference), (second, found.model)):
+    for s, indices in ((first, matches.reference), (second, matches.model)):
         backbone = np.column_stack(peptides(s, s.positions))
         angles.append(np.column_stack([backbone, _chis(s)])[indices])
     off = (angles[1] - angles[0] + 180.0) % 360.0 - 180.0
-    names = first.residue_name[found.reference]
-    off[names != second.residue_name[found.model], 3:] = np.nan
+    names = first.residue_name[matches.reference]
+    off[names != second.residue_name[matches.model], 3:] = np.nan
     for name, chi in _FLIPS:
         flipped = off[names == name, 3 + chi]
         off[names == name, 3 + chi] = (flipped + 90.0) % 180.0 - 90.0
@@ -216,12 +216,12 @@ def _turn_angles(first: Structure, second: Structure, found: Match) -> Floats:
 
 def _chis(s: Structure) -> Floats:
     """(nr, 4) float, degrees."""
-    atoms, found = layout(s), np.full((s.n_residues, len(CHIS)), np.nan)
+    atoms, angles = layout(s), np.full((s.n_residues, len(CHIS)), np.nan)
     for name, quadruples in CHI.items():
         residues = np.flatnonzero((s.residue_name == name) & atoms.amino)
         for k, four in enumerate(quadruples[: len(CHIS)]):
-            found[residues, k] = dihedrals(s.positions, atoms.atoms(*four)[residues])
-    return found
+            angles[residues, k] = dihedrals(s.positions, atoms.atoms(*four)[residues])
+    return angles
 
 
 def _root_mean_square(off: Floats) -> Floats:
@@ -238,10 +238,10 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
     return np.asarray(names[residues])
 
 
-def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFrame, dict[str, int]]:
+def _bonds(first: Structure, second: Structure, matches: Match) -> tuple[pd.DataFrame, dict[str, int]]:
     """Hydrogen bonds and salt bridges that one of the two has alone, and how many."""
     rows, counts = list[dict[str, str]](), dict[str, int]()
-    places = _places(first, second, found)
+    places = _places(first, second, matches)
     for kind, bonds in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
         before, after = (
             {(int(of[i]), int(of[j]), *names) for i, j, *names in bonds(s) if NONE not in (of[i], of[j])}
@@ -259,10 +259,10 @@ def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFr
     return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
 
 
-def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers, Integers]:
+def _places(first: Structure, second: Structure, matches: Match) -> tuple[Integers, Integers]:
     """Residues of the first that correspond to those of the first (nr,) and the second (ns,), or ``NONE``."""
     first_places, second_places = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
-    first_places[found.reference] = second_places[found.model] = found.reference
+    first_places[matches.reference] = second_places[matches.model] = matches.reference
     # Alignments have amino acids alone: caps, ligands and nucleotides correspond by their names in files.
     unplaced = {first.residue(r): r for r in np.flatnonzero(first_places == NONE).tolist()}
     for r in np.flatnonzero(second_places == NONE).tolist():
@@ -283,11 +283,11 @@ def _end(s: Structure, residue: int, name: list[Any]) -> str:
     return str(Atom(name[0], s.residue(residue)) if name else s.residue(residue))
 
 
-def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:
+def _contacts_kept(first: Structure, second: Structure, matches: Match) -> float:
     """Share of the contacts between residues of the first that the second has; NaN if it has none."""
     place = np.full(second.n_residues, NONE)
-    place[found.model] = found.reference
-    matched = {*found.reference.tolist()}
+    place[matches.model] = matches.reference
+    matched = {*matches.reference.tolist()}
     first_pairs = {pair for pair in _contacts(first) if {*pair} <= matched}
     second_pairs = {tuple(sorted((int(place[i]), int(place[j])))) for i, j in _contacts(second)}
     return len(first_pairs & second_pairs) / len(first_pairs) if first_pairs else float("nan")

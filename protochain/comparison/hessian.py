@@ -52,9 +52,9 @@ class Torques:
     @property
     def largest(self) -> float:
         """Largest torque at the point, kJ/mol/rad, of free roots in their own unit."""
-        return float(np.max(np.abs(self.scale * self.beside(np.zeros(self.chain.n_v))), initial=0.0))
+        return float(np.max(np.abs(self.scale * self.torques_after(np.zeros(self.chain.n_v))), initial=0.0))
 
-    def beside(self, change: Floats) -> Floats:
+    def torques_after(self, change: Floats) -> Floats:
         """Torques (n_v,) after a change (n_v,) of the freedoms."""
         at = pose(self.chain, multibody.integrate(self.chain.tree, self.q, change))
         return pull_back(self.chain, at, self._varying(at.x)[1])
@@ -65,7 +65,7 @@ class Torques:
         if size == 0.0:
             return np.zeros_like(direction)
         change = STEP / size * direction
-        return np.asarray((self.beside(-change) - self.beside(change)) / (2.0 * STEP / size))
+        return np.asarray((self.torques_after(-change) - self.torques_after(change)) / (2.0 * STEP / size))
 
     def matrix(self, freedoms: Any) -> Floats:
         """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
@@ -110,7 +110,7 @@ def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     """Torques near q, or near the chain's own start."""
     q = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     torques = Torques(chain, energy, q)
-    if not np.isfinite(torques.beside(np.zeros(chain.n_v))).all():
+    if not np.isfinite(torques.torques_after(np.zeros(chain.n_v))).all():
         raise ProtochainError(
             f"{chain.structure.name}: the torques are not finite; minimise it first, as by pc.minimise",
             fault=Fault.NOT_FINITE,

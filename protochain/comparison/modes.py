@@ -314,10 +314,10 @@ class NormalModes(Value):
         basis = np.linalg.qr(modes.T)[0]
         return np.sqrt(np.minimum(1.0, np.cumsum((change @ basis) ** 2)))
 
-    def _against(self, other: Any) -> tuple[Floats, Floats]:
+    def _against(self, structure: Any) -> tuple[Floats, Floats]:
         """Displacements (k, 3n) of matched C-alphas without rigid motion, and the change (3n,), 1 long."""
         start = self.structure
-        target = measurable(other)
+        target = measurable(structure)
         matches = match(start, target)
         alpha = {int(start.atom_residue[atom]): place for place, atom in enumerate(start.alpha_carbons)}
         alpha_of_residue = {int(target.atom_residue[atom]): int(atom) for atom in target.alpha_carbons}

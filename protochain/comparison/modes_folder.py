@@ -83,22 +83,22 @@ def record_of(modes: NormalModes, temperature: float) -> dict[str, Any]:
 def write_modes(
     modes: NormalModes,
     folder: Path,
-    noted: Mapping[str, Any],
+    extra: Mapping[str, Any],
     temperature: float,
     *,
     suffix: str = ".pdb",
     trajectory: str = "dcd",
     amplitude: float = 1.0,
-    other: Any = None,
+    model: Any = None,
 ) -> dict[str, Any]:
     """Write tables, the structure, swings of the lowest modes and the page; return the record."""
     # temperature K, amplitude angstrom.
     table, tables = modes.table(), {}
-    noted_record = record_of(modes, temperature) | dict(noted)
-    if other is not None:
-        table["overlap"], table["cumulative_overlap"] = modes.overlap(other), modes.cumulative_overlap(other)
-        noted_record |= {
-            "other": other.name,
+    full_record = record_of(modes, temperature) | dict(extra)
+    if model is not None:
+        table["overlap"], table["cumulative_overlap"] = modes.overlap(model), modes.cumulative_overlap(model)
+        full_record |= {
+            "other": model.name,
             "cumulative_overlap": float(table["cumulative_overlap"].iloc[-1]),
         }
     shown = None
@@ -120,19 +120,19 @@ def write_modes(
     write_page(
         folder / "report.html",
         "modes.html",
-        record=noted_record,
+        record=full_record,
         table=table.to_dict("records"),
         figure=shown,
         colours=COLOURS,
         library=library(),
         format=suffix.removeprefix("."),
-        models=[text(model) for model in (structure, *ends)],
+        models=[text(end) for end in (structure, *ends)],
         amplitude=amplitude,
         command=command_line(),
         size=counted(structure.n_protein_residues, "residue"),
     )
-    write_text(folder / "summary.json", json_text(noted_record, 1) + "\n")
-    return noted_record
+    write_text(folder / "summary.json", json_text(full_record, 1) + "\n")
+    return full_record
 
 
 def _figure(table: pd.DataFrame, name: str) -> Figure:

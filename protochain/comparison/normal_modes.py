@@ -69,7 +69,7 @@ class Inertia:
 
     chain: Chain
     pose: Pose
-    whole: Floats  # (n_v, 0 or 6): Rigid motions of what nothing holds.
+    rigid: Floats  # (n_v, 0 or 6): Rigid motions of what nothing holds.
 
     @cached_property
     def freedoms(self) -> NDArray[np.int64]:
@@ -78,19 +78,19 @@ class Inertia:
 
     @property
     def _root(self) -> NDArray[np.int64]:
-        return self.chain.tree.v_start[0] + np.arange(self.whole.shape[1])
+        return self.chain.tree.v_start[0] + np.arange(self.rigid.shape[1])
 
     @cached_property
     def _along(self) -> Floats:
         """(n, 6) float: rates of the counted freedoms as the whole moves, by those of the first root."""
-        root = self.whole[self._root]
-        return np.asarray(np.linalg.solve(root.T, self.whole[self.freedoms].T).T)
+        root = self.rigid[self._root]
+        return np.asarray(np.linalg.solve(root.T, self.rigid[self.freedoms].T).T)
 
     @cached_property
     def _of_whole(self) -> tuple[Floats, Floats]:
         """Momenta (n_v, 6) of the rigid motions, and their own mass matrix (6, 6)."""
-        momenta = np.array([self._multiply(motion) for motion in self.whole.T]).reshape(-1, self.chain.n_v).T
-        return momenta, self.whole.T @ momenta
+        momenta = np.array([self._multiply(motion) for motion in self.rigid.T]).reshape(-1, self.chain.n_v).T
+        return momenta, self.rigid.T @ momenta
 
     def _multiply(self, x: Floats) -> Floats:
         return multibody.multiply_mass(self.chain.tree, self.pose.frames, x)
@@ -100,7 +100,7 @@ class Inertia:
         out = np.zeros((self.chain.n_v, *x.shape[1:]))
         out[self.freedoms] = x
         momenta, block = self._of_whole
-        return out - self.whole @ np.linalg.solve(block, momenta.T @ out)
+        return out - self.rigid @ np.linalg.solve(block, momenta.T @ out)
 
     def times(self, x: Floats) -> Floats:
         """Mass matrix times (n,)."""
@@ -132,7 +132,7 @@ class Inertia:
         log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
             return log_det_tree
-        of_whole, of_root = self._of_whole[1], self.whole[self._root]
+        of_whole, of_root = self._of_whole[1], self.rigid[self._root]
         return (
             log_det_tree - float(np.linalg.slogdet(of_whole)[1]) + 2.0 * float(np.linalg.slogdet(of_root)[1])
         )
@@ -210,7 +210,7 @@ def normal_modes(
         residuals=read_only(eigenpairs.residuals[order]),
         errors=read_only(eigenpairs.errors[order]),
         largest_eigenvalue=eigenpairs.largest,
-        spectrum=None if eigenpairs.every is None else read_only(eigenpairs.every),
+        spectrum=None if eigenpairs.spectrum is None else read_only(eigenpairs.spectrum),
         log_det_mass=inertia.log_det(),
         log_det_hessian=eigenpairs.log_det,
         max_torque=torques.largest,
@@ -243,7 +243,7 @@ def _free_root(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _Eigenpairs:
     """Eigenpairs: values (k,), vectors (n, k) with a^T M a = 1, residuals and errors (k,), and all values."""
 
     values: Floats
@@ -252,7 +252,7 @@ class _Found:
     errors: Floats
     largest: float
     products: int
-    every: Floats | None = None
+    spectrum: Floats | None = None
     log_det: float | None = None
 
 
@@ -265,14 +265,14 @@ def _largest(stiffness: Floats) -> float:
     return float(values[0])
 
 
-def _eigenpairs(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
+def _with_errors(values: Floats, vectors: Floats, misfit: Floats, norm: float, **data: Any) -> _Eigenpairs:
     """Eigenpairs with their backward errors, and what an error of 1e-8 of K may be of a value."""
     sizes = np.linalg.norm(vectors, axis=0)
-    residuals = np.linalg.norm(left, axis=0) / (norm * sizes)
-    return _Found(values, vectors, residuals, RESIDUAL * norm * sizes**2, **more)
+    residuals = np.linalg.norm(misfit, axis=0) / (norm * sizes)
+    return _Eigenpairs(values, vectors, residuals, RESIDUAL * norm * sizes**2, **data)
 
 
-def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
+def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     """All eigenvalues by LAPACK, or of many freedoms the lowest and the largest by Lanczos."""
     stiffness = torques.matrix(inertia.freedoms)
     n = len(stiffness)
@@ -286,10 +286,10 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
     mass, norm = inertia.matrix(), _largest(stiffness)
     values, vectors = eigh(stiffness, mass)
     few = vectors[:, :k]
-    left = stiffness @ few - mass @ few * values[:k]
+    misfit = stiffness @ few - mass @ few * values[:k]
     largest, log_det = float(values[-1]), _log_det(stiffness)
-    return _eigenpairs(
-        values[:k], few, left, norm, largest=largest, products=0, every=values, log_det=log_det
+    return _with_errors(
+        values[:k], few, misfit, norm, largest=largest, products=0, spectrum=values, log_det=log_det
     )
 
 
@@ -332,7 +332,7 @@ class _Factored:
         return 2.0 * float(np.sum(np.log(np.diagonal(self.matrix))))
 
 
-def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Found:
+def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Eigenpairs:
     """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive with zero modes, too."""
     n = len(stiffness.diagonal)
     k_of, m_of, rates_of, inverse = (
@@ -349,13 +349,13 @@ def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Found:
     while not stiffness.factorise(partial(inertia.column, shift)):
         shift *= 10.0
     values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
-    left = np.stack(
+    misfit = np.stack(
         [stiffness @ a - inertia.times(a) * value for a, value in zip(few.T, values, strict=True)]
     )
-    return _eigenpairs(values, few, left.T, norm, largest=largest, products=0, log_det=log_det)
+    return _with_errors(values, few, misfit.T, norm, largest=largest, products=0, log_det=log_det)
 
 
-def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
+def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     """Lowest eigenpairs, by LOBPCG with a model of the Hessian as preconditioner, and the largest value."""
     n, n_products = len(inertia.freedoms), 0
 
@@ -396,8 +396,8 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
         )  # fmt: skip
     order = np.argsort(solved[0])[:k]
     values, vectors = solved[0][order], solved[1][:, order]
-    left = k_of.matmat(vectors) - m_of.matmat(vectors) * values
-    eigenpairs = _eigenpairs(values, vectors, left, norm, largest=largest, products=n_products)
+    misfit = k_of.matmat(vectors) - m_of.matmat(vectors) * values
+    eigenpairs = _with_errors(values, vectors, misfit, norm, largest=largest, products=n_products)
     if np.max(eigenpairs.residuals) > RESIDUAL:
         raise ProtochainError(
             f"{inertia.chain.structure.name}: the modes did not converge: a residual is "

@@ -64,7 +64,7 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
             solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
         pairs = _parameters(terms, by_body), solvated
         pair_stiffness = _add_pairs(matrix, (x, first), tree, pairs, share)
-    _add_own(matrix, chain, at, tree[2], body, x, pair_stiffness, middle)
+    _add_atoms(matrix, chain, at, tree[2], body, x, pair_stiffness, middle)
     symmetrise(matrix)
     return matrix
 
@@ -175,7 +175,7 @@ def _add_radii(
         to *= slope[chunk, None]
         return to
 
-    def coupled(begin: int, end: int, left: int, right: int) -> Floats:
+    def coupling_block(begin: int, end: int, left: int, right: int) -> Floats:
         block = np.empty((end - begin, right - left))
 
         def rows(part: tuple[int, int]) -> None:
@@ -193,7 +193,7 @@ def _add_radii(
         along = derivatives(left, right, derivatives_of_rows)
         for begin, end in _parts(left, right, _ROWS):
             share(partial(_call_kernel, kernels.born_rows, constants, begin), _parts(begin, end))
-            couplings = coupled(begin, end, begin, right)
+            couplings = coupling_block(begin, end, begin, right)
             # Half of a symmetric product: the other is its transpose.
             chunk_couplings = couplings[:, : end - begin]
             chunk_couplings *= 0.5
@@ -207,7 +207,7 @@ def _add_radii(
             product += couplings @ along[begin - left :]
             _add_product(matrix, along[begin - left : end - left], product)
         for begin, end in _parts(right, n, _ROWS):
-            across = coupled(begin, end, left, right) @ along
+            across = coupling_block(begin, end, left, right) @ along
             _add_product(matrix, derivatives(begin, end, further), across)
     return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope
 
@@ -217,9 +217,9 @@ def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:
     return [(k, min(end, k + size)) for k in range(begin, end, size)]
 
 
-def _call_kernel(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
+def _call_kernel(kernel: Any, arguments: tuple[Any, ...], *parts: Any) -> None:
     """Call a kernel for a part, the last, after what comes before it."""
-    kernel(*parts[:-1], *parts[-1], *rest)
+    kernel(*parts[:-1], *parts[-1], *arguments)
 
 
 def born_radii(
@@ -241,13 +241,13 @@ def born_radii(
     return born, born**2 * once, 2.0 * born**3 * once**2 + born**2 * twice
 
 
-def _add_own(
-    matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, own: Floats,
+def _add_atoms(
+    matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, per_atom: Floats,
     middle: Floats,
 ) -> None:  # fmt: skip
     """Add J^T D J of each atom by itself, and -f . d2x/dq dq."""
     # A turn about axis a after one about b moves by a cross (b cross r).
-    tree, forces = chain.tree, own[:, 6:]
+    tree, forces = chain.tree, per_atom[:, 6:]
     moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
     stiffness = np.zeros((tree.n_bodies, 6, 6))
     np.add.at(moments, body, x[:, :, None] * forces[:, None, :])
@@ -256,7 +256,7 @@ def _add_own(
     arms = np.zeros((len(x), 3, 6))
     arms[:, [0, 1, 2], [3, 4, 5]] = 1.0
     arms[:, [0, 1, 2], [1, 2, 0]], arms[:, [0, 1, 2], [2, 0, 1]] = x[:, [2, 0, 1]], -x[:, [1, 2, 0]]
-    blocks = own[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    blocks = per_atom[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     np.add.at(stiffness, body, arms.transpose(0, 2, 1) @ blocks @ arms)
     for b in range(tree.n_bodies - 1, -1, -1):
         if tree.parent[b] >= 0:

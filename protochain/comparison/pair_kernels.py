@@ -54,7 +54,7 @@ def screening(r: float, u: float, radius: float, s: float, engulfs: bool) -> tup
 
 
 @scalar
-def still(r2: float, radii: float, inverse: float) -> tuple[float, float, float, float]:
+def born_distance(r2: float, radii: float, inverse: float) -> tuple[float, float, float, float]:
     """Of a pair's energy -qq/f: f^2, 1/f, exp(-x) and x = r^2/4BB, given BB and its inverse."""
     x = 0.25 * r2 * inverse
     decay = np.exp(-x) if x < _NEGLIGIBLE else 0.0
@@ -63,11 +63,11 @@ def still(r2: float, radii: float, inverse: float) -> tuple[float, float, float,
 
 
 @scalar
-def coupled(
+def born_coupling(
     r2: float, radii: float, inverse: float, charges: float
 ) -> tuple[float, float, float, float, float]:
     """Of a pair's energy E: dE/df^2 and d2E/df^2 df^2, exp(-x) and x, and d2E/dB_i dB_j."""
-    _, by_f, decay, x = still(r2, radii, inverse)
+    _, by_f, decay, x = born_distance(r2, radii, inverse)
     twice = by_f * by_f
     by_f *= 0.5 * charges * twice
     twice *= -1.5 * by_f
@@ -77,7 +77,7 @@ def coupled(
 
 @chunk_kernel
 def couplings(
-    begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, found: Floats
+    begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, block: Floats
 ) -> None:
     """Write d2E/dB dB of the atoms from ``begin`` to ``end`` with those from ``left`` to ``right``."""
     for i in range(begin, end):
@@ -85,8 +85,8 @@ def couplings(
             dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
             r2, radii = dx * dx + dy * dy + dz * dz, born[i] * born[j]
             far = r2 > 4.0 * _NEGLIGIBLE * radii
-            found[i - begin, j - left] = (
-                0.0 if far else coupled(r2, radii, 1.0 / radii, charge[i] * charge[j])[4]
+            block[i - begin, j - left] = (
+                0.0 if far else born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j])[4]
             )
 
 
@@ -125,7 +125,7 @@ def integrals(
 def born_rows(
     above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, charge: Floats,
     surface: Floats, born: Floats, parent: Integers, v_start: Integers, motions: Floats, of_born: Floats,
-    own: Floats, along: Floats,
+    stiffness: Floats, along: Floats,
 ) -> None:  # fmt: skip
     """Write dE/dB and d2E/dB2 of some atoms, and d2E/dB dq at constant radii, from row ``above`` on."""
     wrench = np.empty((len(parent), 6))
@@ -146,7 +146,7 @@ def born_rows(
                 if j == i or r2 > 4.0 * _NEGLIGIBLE * born[i] * born[j]:
                     continue
                 radii = born[i] * born[j]
-                by_f, twice, decay, s, _ = coupled(r2, radii, 1.0 / radii, charge[i] * charge[j])
+                by_f, twice, decay, s, _ = born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j])
                 of_i = born[j] * decay * (1.0 + s)
                 slope += by_f * of_i
                 second += twice * of_i * of_i + by_f * born[j] * decay * s * s * inverse
@@ -158,7 +158,7 @@ def born_rows(
                 mz += x[j, 0] * fy - x[j, 1] * fx
             if c != body[i]:
                 _push(wrench, body[i], c, x, i, gx, gy, gz, mx, my, mz)
-        of_born[i], own[i] = slope, second
+        of_born[i], stiffness[i] = slope, second
         _project(wrench, parent, v_start, motions, along[i - above])
 
 
@@ -243,7 +243,7 @@ def pair_sweep(
                     e2 = (42.0 * twelve - 12.0 * six + 0.75 * coulomb) * u * u
                     if solvated:
                         inverse = over[i] * over[j]
-                        _, by_f, decay, _ = still(r2, born[i] * born[j], inverse)
+                        _, by_f, decay, _ = born_distance(r2, born[i] * born[j], inverse)
                         over_f2, by_u = by_f * by_f, 1.0 - 0.25 * decay
                         by_f *= 0.5 * gb_charge[i] * gb_charge[j] * over_f2
                         e1 += by_f * by_u

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from protochain.comparison.colourings import colourings
-from protochain.comparison.differences import Differences, joined, of_ends, totals_of
+from protochain.comparison.differences import Differences, concatenate, of_ends, totals_of
 from protochain.comparison.plots import plot_differences
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
@@ -38,13 +38,13 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         terms=energies_by_term({"end": record}),
         lost=loss_lines([record]),
         changes=totals_of(changes),
-        bonds_changed=joined(changes, "bonds"),
+        bonds_changed=concatenate(changes, "bonds"),
         figure=data_url(figure),
         command=command_line(),
         name=strength.name,
         source=strength.source,
         pockets=pockets(relaxation.start, bonds, relaxation.start.positions, relaxation.x),
-        **coloured(relaxation, changes),
+        **viewer_scene(relaxation, changes),
     )
 
 
@@ -69,14 +69,14 @@ def named_residues(
     }
     place = {where: r for r, where in enumerate(residue_keys(s).tolist())}
     for difference in changes.values():
-        of = difference.residues
+        table = difference.residues
         where = [place.get(f"{chain.strip()}:{number}", -1)
-                 for chain, number in zip(of["chain"], of["residue"], strict=True)]  # fmt: skip
+                 for chain, number in zip(table["chain"], table["residue"], strict=True)]  # fmt: skip
         for label, column, least, unit in (
             ("Moved most", "ca_moved_angstrom", _MOVED, " angstrom"),
             ("Turned most", "torsions_degrees", _TURNED, " degrees"),
         ):
-            largest = of.assign(where=where)[of[column] >= least].nlargest(_NAMED, column)
+            largest = table.assign(where=where)[table[column] >= least].nlargest(_NAMED, column)
             groups[label] = [
                 (r, f", {value:.2g}{unit}" if value < 10 else f", {value:.0f}{unit}")
                 for r, value in zip(largest["where"], largest[column], strict=True) if r >= 0
@@ -88,20 +88,20 @@ def named_residues(
     }  # fmt: skip
 
 
-def _outliers(found: Findings) -> dict[str, set[int]]:
+def _outliers(findings: Findings) -> dict[str, set[int]]:
     """Residues of each kind of outlier."""
-    of, rama = found.structure.atom_residue, found.ramachandran
+    residue_of, rama = findings.structure.atom_residue, findings.ramachandran
     return {
-        "violations": set(found.violations.residues.tolist()),
-        "clashes": set(of[found.clashes.pairs].ravel().tolist()),
+        "violations": set(findings.violations.residues.tolist()),
+        "clashes": set(residue_of[findings.clashes.pairs].ravel().tolist()),
         "Ramachandran outliers": set(rama.residue[rama.region == 0].tolist()),
-        "rotamer outliers": set(found.side_chains.outliers.tolist()),
-        "C-beta outliers": set(found.cbeta.outliers.tolist()),
-        "inverted stereocentres": set(of[found.inverted_stereocentres].tolist()),
+        "rotamer outliers": set(findings.side_chains.outliers.tolist()),
+        "C-beta outliers": set(findings.cbeta.outliers.tolist()),
+        "inverted stereocentres": set(residue_of[findings.inverted_stereocentres].tolist()),
     }
 
 
-def coloured(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:
+def viewer_scene(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:
     """Variables of the viewer's template, by displacement at first."""
     ends = relaxation.ends()
     return scene(ends, colourings(ends, relaxation.energy_function, changes), DISPLACEMENT)

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from protochain.chains.setup import Setup
-from protochain.results.page import explored, write_page
+from protochain.results.page import table_data, write_page
 from protochain.results.provenance import command_line
 from protochain.results.viewer import library, residue_keys
 from protochain.structure.select import sides
@@ -60,7 +60,7 @@ def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[s
         ],
         columns=["rank", "file", "interface", *scores],
     )
-    return explored(table.infer_objects(), _FIRST)
+    return table_data(table.infer_objects(), _FIRST)
 
 
 def _model(interface: Interface, row: Mapping[str, Any]) -> dict[str, Any]:

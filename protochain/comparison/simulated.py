@@ -16,7 +16,7 @@ from protochain.results.columns import heading
 from protochain.results.figures import data_url, panels, plain
 from protochain.results.page import write_page
 from protochain.results.provenance import of_run
-from protochain.results.viewer import library, superposed
+from protochain.results.viewer import library, superpose
 from protochain.structure import Structure
 from protochain.structure.write import as_text, common_suffix
 from protochain.validation.ramachandran import ramachandran
@@ -38,7 +38,7 @@ def write_simulated(
 
     stride = -(-len(log) // _MOST)
     frames = [
-        superposed(structure.with_positions(frame.x), structure)
+        superpose(structure.with_positions(frame.x), structure)
         for k, frame in enumerate(open_frames(trajectory)) if k % stride == 0 and frame.x is not None
     ]  # fmt: skip
     times = log["time_ps"].to_numpy()[::stride][: len(frames)]

@@ -134,7 +134,7 @@ class Folder:
         """Write a checkpoint, after flushing to disk the frames and rows that it counts."""
         frames, trajectory_bytes = self._frames.sync()
         with writing(self.log):
-            log_bytes = self._rows.stored()
+            log_bytes = self._rows.sync()
         values = {
             "step": state.step, "potential": state.at.potential, "bath_energy": state.bath.energy,
             "damped": state.damped, "time": state.at.time, "frames": frames,

@@ -80,9 +80,9 @@ def heading(name: str) -> str:
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
-def record(columns: Iterable[Column], of: Any) -> dict[str, Any]:
+def record(columns: Iterable[Column], result: Any) -> dict[str, Any]:
     """Flat record of a result; None where a value is not finite."""
-    return {column.key: _finite(column.value(of)) for column in columns}
+    return {column.key: _finite(column.value(result)) for column in columns}
 
 
 def largest(values: Any) -> float | None:
@@ -102,9 +102,9 @@ def flat(value: Any) -> Any:
     return "; ".join(map(str, value)) if is_plain else value
 
 
-def number(of: Any) -> Kind:
+def number(measure: Any) -> Kind:
     """Kind of a measure that may be missing."""
-    return int | None if of.whole else float | None
+    return int | None if measure.whole else float | None
 
 
 def of_measures(measures: Mapping[str, Any], *whens: str) -> Iterator[Column]:
@@ -114,8 +114,8 @@ def of_measures(measures: Mapping[str, Any], *whens: str) -> Iterator[Column]:
             yield Column(f"{key}_{when}", partial(_measure, key, when), kind=number(measure))
 
 
-def _measure(key: str, when: str, of: Any) -> Any:
-    return getattr(of, f"measures_{when}")[key]
+def _measure(key: str, when: str, result: Any) -> Any:
+    return getattr(result, f"measures_{when}")[key]
 
 
 def of_remains(keys: Iterable[str]) -> Iterator[Column]:
@@ -124,8 +124,8 @@ def of_remains(keys: Iterable[str]) -> Iterator[Column]:
         yield Column(key, partial(_remaining, key), kind=list[str])
 
 
-def _remaining(key: str, of: Any) -> list[str]:
-    residues: list[str] = of.remains_end[key]
+def _remaining(key: str, result: Any) -> list[str]:
+    residues: list[str] = result.remains_end[key]
     return residues
 
 
@@ -138,13 +138,13 @@ def of_terms(names: Iterable[str]) -> Iterator[Column]:
         yield Column(f"energy_restraints_{when}_kj_mol", partial(_restraints, k))
 
 
-def _term(name: str, when: str, of: Any) -> float | None:
-    value: float | None = getattr(of, f"terms_{when}").get(name)
+def _term(name: str, when: str, result: Any) -> float | None:
+    value: float | None = getattr(result, f"terms_{when}").get(name)
     return value
 
 
-def _restraints(which: int, of: Any) -> float | None:
-    return None if of.restraints is None else float(of.restraints[which])
+def _restraints(index: int, result: Any) -> float | None:
+    return None if result.restraints is None else float(result.restraints[index])
 
 
 def of_restraints(kind: Kind) -> Iterator[Column]:
@@ -155,12 +155,12 @@ def of_restraints(kind: Kind) -> Iterator[Column]:
     yield Column("restraint_violations", lambda r: r.violation_rows(), kind=[kind])
 
 
-def _n_violated(of: Any) -> int | None:
-    return sum(value.is_violated for value in of.restraint_values) if of.restraint_values else None
+def _n_violated(result: Any) -> int | None:
+    return sum(value.is_violated for value in result.restraint_values) if result.restraint_values else None
 
 
-def _largest_violation(unit: str, of: Any) -> float | None:
-    return max((value.violation for value in of.restraint_values if value.unit == unit), default=None)
+def _largest_violation(unit: str, result: Any) -> float | None:
+    return max((value.violation for value in result.restraint_values if value.unit == unit), default=None)
 
 
 def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:

@@ -30,7 +30,7 @@ _COUNTED = ("frame", "rank", "time_ps")
 """Columns whose histograms say nothing."""
 
 
-def explored(
+def table_data(
     table: "pd.DataFrame",
     shown: Collection[str] = (),
     links: Sequence[str | None] | None = None,

@@ -13,10 +13,10 @@ from protochain.core.storage import writing
 REPLACE = Argument("force", True), " replaces it"
 
 
-def refuse_earlier(place: Path, what: str, *remedy: str | Argument) -> ProtochainError:
+def refuse_earlier(place: Path, run: str, *remedy: str | Argument) -> ProtochainError:
     """Return the refusal of a place where an earlier run is, which ``resume`` continues."""
     return ProtochainError(
-        f"{place}: holds {what}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
+        f"{place}: holds {run}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
     )
 
 
@@ -32,13 +32,13 @@ def remove_files(files: Iterable[Path]) -> None:
 
 
 @contextmanager
-def saving(path: Path, what: str) -> Iterator[None]:
+def saving(path: Path, contents: str) -> Iterator[None]:
     """Report what is saved when the disk is full, and that the run can go on."""
     try:
         with writing(path):
             yield
     except WriteError as error:
-        raise error.with_saved(what, "continue with ", Argument("resume", True)) from error
+        raise error.with_saved(contents, "continue with ", Argument("resume", True)) from error
 
 
 def csv_text(
@@ -73,7 +73,7 @@ class GrowingTable:
         self._file.write(text.encode(errors="backslashreplace"))
         self._file.flush()
 
-    def stored(self) -> int:
+    def sync(self) -> int:
         """Write all rows to the disk; return the bytes of the table."""
         os.fsync(self._file.fileno())
         return self._file.tell()

@@ -23,7 +23,7 @@ class Contract:
     # By the name of the CSV or the option that names it: one of these is a row.
     tables: Mapping[str, tuple[Kind, ...]] = field(default_factory=dict)
     files: tuple[str, ...] = ()  # Names that its folder always has, in it.
-    more: tuple[str, ...] = ()  # Patterns of the names of other files there.
+    patterns: tuple[str, ...] = ()  # Patterns of the names of other files there.
 
 
 def document(command: str, version: int, contract: Contract) -> Schema:
@@ -33,7 +33,7 @@ def document(command: str, version: int, contract: Contract) -> Schema:
     }
     if contract.files:
         names: list[Schema] = [{"const": name} for name in contract.files]
-        names += [{"pattern": pattern} for pattern in contract.more]
+        names += [{"pattern": pattern} for pattern in contract.patterns]
         defs["folder"] = {
             "type": "array", "items": {"anyOf": names},
             "allOf": [{"contains": {"const": name}} for name in contract.files],

@@ -12,14 +12,14 @@ from protochain.core.storage import write_atomically
 
 def save(folder: Path, files: Mapping[str, pd.DataFrame | Figure | str]) -> None:
     """Write tables as CSV, figures, and text to a folder, each by the name of its file."""
-    for name, what in files.items():
-        write_atomically(folder / name, partial(_write, what))
+    for name, content in files.items():
+        write_atomically(folder / name, partial(_write, content))
 
 
-def _write(what: pd.DataFrame | Figure | str, to: Path) -> None:
-    if isinstance(what, pd.DataFrame):
-        what.to_csv(to, index=False)
-    elif isinstance(what, Figure):
-        what.savefig(to, dpi=120)
+def _write(content: pd.DataFrame | Figure | str, to: Path) -> None:
+    if isinstance(content, pd.DataFrame):
+        content.to_csv(to, index=False)
+    elif isinstance(content, Figure):
+        content.savefig(to, dpi=120)
     else:
-        to.write_text(what, encoding="utf-8")
+        to.write_text(content, encoding="utf-8")

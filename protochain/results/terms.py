@@ -17,8 +17,8 @@ def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
             continue
         # A run that failed has no numbers.
         start = next((record[key] for record in records.values() if record.get(key) is not None), None)
-        ends = {f"{of}_kj_mol": record.get(f"energy_{name}_end_kj_mol") for of, record in records.items()}
+        ends = {f"{end}_kj_mol": record.get(f"energy_{name}_end_kj_mol") for end, record in records.items()}
         if start or any(ends.values()):
             rows.append({"term": heading(name), "start_kj_mol": start, **ends})
-    columns = ["term", "start_kj_mol", *(f"{of}_kj_mol" for of in records)]
+    columns = ["term", "start_kj_mol", *(f"{end}_kj_mol" for end in records)]
     return pd.DataFrame(rows, columns=columns)

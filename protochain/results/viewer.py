@@ -39,7 +39,7 @@ def scene(
 ) -> dict[str, Any]:
     """Variables of the viewer's template, with all structures superposed on the first."""
     (first_name, first), *other_structures = shown.items()
-    ends = {name: superposed(model, first) for name, model in other_structures}
+    ends = {name: superpose(model, first) for name, model in other_structures}
     moved = {name: model.positions - first.positions for name, model in ends.items()}
     away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
     suffix = common_suffix(shown.values())
@@ -118,10 +118,10 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
     of = structure.atom_residue
 
     def atom(k: int) -> dict[str, Any]:
-        (place,) = selected([int(of[k])])
+        (place,) = selections([int(of[k])])
         return place | {"atom": str(structure.atom_name[k])}
 
-    def selected(residues: Iterable[int]) -> list[dict[str, Any]]:
+    def selections(residues: Iterable[int]) -> list[dict[str, Any]]:
         return [
             {"chain": str(structure.residue_chain[r]) or " ", "resi": int(structure.residue_number[r])}
             for r in residues
@@ -139,8 +139,8 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
         pocket_list.append(
             {
                 "name": name,
-                "ligand": selected([residue]),
-                "near": selected(sorted(near - {residue})),
+                "ligand": selections([residue]),
+                "near": selections(sorted(near - {residue})),
                 "bonds": [
                     [atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == residue) != (of[j] == residue)
                 ],
@@ -193,7 +193,7 @@ def view(shown: Any) -> View:
     return View({structure.name: structure})
 
 
-def superposed(structure: Structure, start: Structure) -> Structure:
+def superpose(structure: Structure, start: Structure) -> Structure:
     """Superpose a structure on another with the same atoms, by the C-alphas."""
     alpha = start.alpha_carbons
     turn, shift = motion(structure.positions[alpha], start.positions[alpha])

@@ -128,7 +128,7 @@ class Search(Value):
 
     def structure(self, number: int = 1) -> Structure:
         """Structure of a minimum, numbered from 1, superposed on the lowest."""
-        from protochain.results.viewer import superposed
+        from protochain.results.viewer import superpose
 
         number = integer(number, "number")
         if not 1 <= number <= len(self.q):
@@ -136,7 +136,7 @@ class Search(Value):
         lowest, minimum = (
             self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
         )
-        return superposed(minimum, lowest)
+        return superpose(minimum, lowest)
 
     @cached_property
     def minima(self) -> pd.DataFrame:

@@ -26,7 +26,7 @@ from protochain.batches.page import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
 from protochain.batches.table import RELAXED_COLUMNS as OF_RELAXED
 from protochain.batches.task import Task
-from protochain.comparison.relaxed import coloured, write_relaxed
+from protochain.comparison.relaxed import viewer_scene, write_relaxed
 from protochain.structure.write import as_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
@@ -247,7 +247,7 @@ def test_a_motion_of_the_whole_changes_nothing_on_the_page():
     """The end is coloured by how far its atoms are from the start once both are superposed."""
     r = pc.relax(load("ala10.pdb"), threads=1, solvent="vacuum")
     turned = replace(r, x=r.x @ Rotation.from_rotvec([0.3, 1.0, -0.7]).as_matrix().T + [0.5, -1.0, 2.0])
-    made = [coloured(each) for each in (r, turned)]
+    made = [viewer_scene(each) for each in (r, turned)]
     shown, high = [each["models"] for each in made], [each["colourings"][0]["high"] for each in made]
     atoms = [
         [(at.atom.pos.tolist(), at.atom.b_iso) for at in gemmi.read_pdb_string(models[1]["text"])[0].all()]

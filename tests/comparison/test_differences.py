@@ -7,7 +7,7 @@ from fixtures.samples import STRUCTURES, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.comparison.differences import TORSIONS, joined, of_ends, totals_of
+from protochain.comparison.differences import TORSIONS, concatenate, of_ends, totals_of
 from protochain.comparison.domains import rigid_domains
 from protochain.comparison.plots import plot_differences
 
@@ -156,7 +156,7 @@ def test_totals_in_words_and_tables_of_several_ends(ubiquitin):
     assert totals.loc["rotamers changed"].tolist() == [1, 0]
     assert {"contacts kept", "C-alpha RMSD of chain A, angstrom", "C-alpha RMSD of helix, angstrom",
             "C-alpha RMSD of domain 1, angstrom", "rigid domains"} <= {*totals.index}  # fmt: skip
-    assert joined(found, "residues")["method"].tolist() == ["a"] * 76 + ["b"] * 76
+    assert concatenate(found, "residues")["method"].tolist() == ["a"] * 76 + ["b"] * 76
     figure = plot_differences({name: each.residues for name, each in found.items()}, "two")
     top, bottom = figure.axes
     assert [line.get_label() for line in top.lines] == ["a", "b"] and len(bottom.lines) == 2

@@ -15,7 +15,7 @@ from fixtures.waiting import until
 
 import protochain as pc
 from protochain.core.figure import Figure
-from protochain.results.page import explored, templates
+from protochain.results.page import table_data, templates
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
@@ -230,7 +230,7 @@ def many_rows(n):
         "method": np.where(np.arange(n) % 2, "kcm", "lbfgs"),
         "status": ["error", *["converged"] * (n - 1)], "seconds": values, "seed": 0,
     })  # fmt: skip
-    data = explored(table, ("structure", "status", "method", "seconds"), [*["page.html"] * n], "method")
+    data = table_data(table, ("structure", "status", "method", "seconds"), [*["page.html"] * n], "method")
     table = templates().from_string(
         '{% extends "page.html" %}{% from "tables.html" import explored %}{% block title %}t{% endblock %}'
         '{% block body %}{{ explored(data, "rows") }}{% endblock %}'
