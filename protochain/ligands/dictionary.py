@@ -53,7 +53,7 @@ def charges(name: str) -> dict[str, int]:
 
 def component(name: str) -> Any:
     """Atoms and bonds of a component, as biotite's ``residue`` returns them, with atoms that may leave."""
-    if (atoms := _decode(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.
+    if (atoms := _decode(name)) is None:  # A traceback retains the frame: it has no large array here.
         raise KeyError(name)
     return atoms
 

@@ -28,7 +28,7 @@ class Parameters(Value):
     charge: Floats  # (na,).
     sigma: Floats  # (na,).
     epsilon: Floats  # (na,).
-    scale_lj: float  # Factors of pairs three bonds apart. Nearer ones are left out.
+    scale_lj: float  # Factors of pairs three bonds apart. Nearer pairs are excluded.
     scale_coulomb: float
 
     def pairs(self) -> tuple[Integers, Floats, Floats]:

@@ -21,8 +21,7 @@ _MOST_MATCHES = 1000
 _REACH = 1.3
 """Of the sum of covalent radii: bonds of distorted models count. Only which atoms are joined follows."""
 _SHORTER = {1.0: 1.0, 1.5: 0.92, 2.0: 0.87, 3.0: 0.78}
-"""Length of a bond by its order, as a share of the sum of covalent radii. 74 ligands of the archive have
-these to 0.1 angstrom RMS in each."""
+"""Length of a bond by its order, relative to the sum of covalent radii. 0.1 angstrom RMS in 74 ligands."""
 _ALIKE = 0.02
 """Angstrom RMS: matches whose lengths fit as well as the best but for this are distinguished by stereo."""
 _WORST = 0.25
@@ -54,7 +53,7 @@ def place_on_model(
     by_name: bool = False,
 ) -> Placed:
     """Put a molecule on a model's elements (nm,) at x (nm, 3), nm, by the bonds that these show."""
-    # Of several matches, that whose hydrogens and lengths of bonds fit best; then that with fewest inverted.
+    # The best match has the right hydrogens, then the best bond lengths, then the fewest inverted centres.
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
         raise StructureError(f"{molecule.source}: the model has coordinates that are not finite; mend them")
@@ -164,12 +163,14 @@ def _match_heavy(
             f"{molecule.source}: is another molecule than the model has: both are {full}, but bonded "
             f"otherwise ({_difference(elements[indices], joined, target, bonds)}); give the one that it has"
         )
+    # Differences of bond lengths from the usual ones, for each match.
     mol = to_rdkit(molecule)
     orders = [1.5 if bond.GetIsAromatic() else bond.GetBondTypeAsDouble() for bond in mol.GetBonds()]
     usual = np.array([_SHORTER[order] for order in orders])[inside]
     first, second = matches[:, bonds].transpose(2, 0, 1)
     beyond = distance[first, second] - usual * reach[first, second]
     misfit = np.sqrt(np.mean(beyond**2, axis=1)) if len(bonds) else np.zeros(len(matches))
+    # The matches with the fewest differences in hydrogens, and of these with nearly the smallest misfit.
     likest = np.arange(len(matches))
     if hydrogens is not None:
         of_molecule = np.array([_hydrogens(molecule, i) for i in heavy.tolist()])
@@ -185,6 +186,7 @@ def _match_heavy(
             f"{molecule.source}: fits the model badly: bonds differ by {misfit[best]:.2f} angstrom RMS; give "
             "the molecule that it has, or mend its coordinates"
         )
+    # Bond lengths distinguish aromatic from saturated carbon rings.
     for ring in mol.GetRingInfo().BondRings():
         atoms = {i for k in ring for i in molecule.bonds[k].tolist()}
         kinds = {orders[k] for k in ring}
@@ -225,10 +227,7 @@ def _difference(model_elements: Any, model_bonds: Any, source_elements: Any, sou
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
-    """Return the atoms of each stereocentre and double bond that is not as in the source: heavy (n, 3) nm.
-
-    Atoms at NaN, as of caps, are ignored.
-    """
+    """Return atoms of stereocentres and double bonds not as in the source: heavy (n, 3) nm, NaN to ignore."""
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy
     near = neighbours(molecule.bonds, molecule.n_atoms)

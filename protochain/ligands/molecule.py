@@ -122,6 +122,7 @@ def from_rdkit(mol: Any, source: str) -> Molecule:
     chem = library("rdkit.Chem")
     if mol.GetNumAtoms() > _MOST_ATOMS:
         raise StructureError(f"{source}: has {mol.GetNumAtoms()} atoms; give a small molecule")
+    # Complete the molecule, and refuse fragments and radicals.
     _draw_thiophosphates(mol)
     in_space = mol.GetNumConformers() > 0 and mol.GetConformer().Is3D()
     if in_space and not np.isfinite(mol.GetConformer().GetPositions()).all():
@@ -134,6 +135,7 @@ def from_rdkit(mol: Any, source: str) -> Molecule:
     for name, atom in zip(names, mol.GetAtoms(), strict=True):
         if atom.GetNumRadicalElectrons():
             raise StructureError(f"{source}: atom {name} lacks a bond or a charge; complete the file")
+    # Stereo from coordinates, except at acids.
     if in_space:
         chem.AssignStereochemistryFrom3D(mol)
     for atom in mol.GetAtoms():

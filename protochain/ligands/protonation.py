@@ -242,10 +242,7 @@ _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
 def at_ph(
     molecule: Molecule, ph: float, donors: Collection[str] = ()
 ) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule as it is at a pH, and the changes. The other hydrogens do not move.
-
-    The donors of a metal of the molecule do not change.
-    """
+    """Return a molecule in its state at a pH, and the changes. Metal donors and other hydrogens remain."""
     neutral = library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger()
     mol, rank = _number_heavy(molecule)
     smiles = library("rdkit.Chem").MolToSmiles(quietly(neutral.uncharge, mol))

@@ -172,7 +172,7 @@ def _from_file(path: Path, number: int) -> Molecule:
     chem = library("rdkit.Chem")
     parse: Callable[..., Any] = chem.MolFromMol2Block if suffix == ".mol2" else chem.MolFromMolBlock
     mol = quietly(parse, text, removeHs=False)
-    if mol is None:  # Without its checks RDKit says what is wrong.
+    if mol is None:  # Without its checks RDKit reports the problem.
         mol = quietly(parse, text, removeHs=False, sanitize=False)
         if mol is None:
             raise StructureError(f"{source}: is no {suffix[1:].upper()} file that can be read; mend it")
@@ -222,6 +222,7 @@ def _of_tables(header: str, name: str, model: Mapping[str, tuple[str, int]]) -> 
     charges = [charge for _, charge in atoms.values()]
     if not is_charged:
         charges = _by_valence(elements, pairs, orders)
+    # The molecule without stereo, then with the stereo of our own table.
     _, organic = _without_metals(source, names, elements, charges, pairs, orders)
     plain = _sanitise(build_mol(*organic, None), source)
     stereo_rows = [

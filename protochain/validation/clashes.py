@@ -32,8 +32,7 @@ _DOTS = 24
 _RIM = 0.85
 """Share of the area of a contact that they cover: Probe has seldom a dot at its very rim."""
 _PORTION, _NEAREST = 2000, 8
-"""Pairs per batch, and atoms compared first around a dot: they bound memory and time if atoms are
-crowded."""
+"""Pairs per batch, and atoms compared first around a dot. They limit memory and time if atoms are crowded."""
 _POLAR_OR_AROMATIC_H, _CARBONYL, _AROMATIC = 1.05, 1.65, 1.75
 
 _LENGTH = {"C": 0.97, "N": 0.86, "O": 0.84, "S": 1.20}
@@ -247,7 +246,7 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
         stranger = (atom != first[row]) & (atom != second[row])
         hidden[dot[np.where(excluded, depth > 0, stranger & (depth > reach[dot]))]] = True
 
-    # Of many atoms upon one another the nearest hide most dots; for what is left all are looked at.
+    # The nearest atoms hide most dots. The other dots are compared with all atoms within reach.
     nearest = np.asarray(tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1])
     dot, rank = np.nonzero(nearest < tree.n)
     hide(dot, nearest[dot, rank])

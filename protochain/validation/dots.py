@@ -24,7 +24,7 @@ class Dots(Value):
     x: Floats  # (n, 3) angstrom.
     normal: Floats  # (n, 3): Unit vectors out of the molecule.
     area: Floats  # (n,) angstrom^2: What each dot stands for.
-    probe: Floats  # (n, 3) angstrom: Centre of the probe that touches there.
+    probe: Floats  # (n, 3) angstrom: Centre of the probe that touches the dot.
 
     def __len__(self) -> int:
         return len(self.x)
@@ -74,6 +74,7 @@ def _roll_probe(
     x: Floats, reach: Floats, probe: float, density: float, atom: Integers, neighbours: list[Integers]
 ) -> tuple[Dots, Floats, Integers]:
     """Saddles, the places (n, 3) of the probe at rest on three atoms, and these atoms (n, 3)."""
+    # Pairs of neighbours, and the circle of centres of the probe that touches both atoms.
     counts = np.array([len(near) for near in neighbours], dtype=np.int64)
     start = np.concatenate([[0], np.cumsum(counts)])
     flat = np.concatenate([np.empty(0, dtype=np.int64), *neighbours])
@@ -113,6 +114,7 @@ def _roll_probe(
     pair, k, half = pair[cuts], k[cuts], np.arccos(cosine[cuts])
     arcs = _free_arcs(pair, np.arctan2(v, u)[cuts], half, k, hidden)
     on, begin, end = arcs.circle, arcs.begin, arcs.end
+    # Saddles follow from the free arcs. The probe rests at their ends.
     saddles = _saddles(
         arcs, centre[on], axis[on], e1[on], e2[on], h[on], along[on], distance[on], probe, density
     )
@@ -122,7 +124,7 @@ def _roll_probe(
     ends, angle = ends[real], angle[real]
     at, corners = ends[:, 0], np.column_stack([i[ends[:, 0]], j[ends[:, 0]], ends[:, 1]])
     places = centre[at] + h[at, None] * (np.cos(angle)[:, None] * e1[at] + np.sin(angle)[:, None] * e2[at])
-    # Each is the end of an arc of all three pairs.
+    # Each place is the end of an arc of all three pairs.
     is_covered = np.isin(corners[:, 2], atom)
     places, corners = places[is_covered], np.sort(corners[is_covered], axis=1)
     key = np.column_stack([corners, np.round(places / 1e-3)])

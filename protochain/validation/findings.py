@@ -120,6 +120,7 @@ class Findings(Value):
         covalent = self.violations.covalent[~s.kept[self.violations.covalent].all(axis=1)]
         for pair, line in zip(covalent.tolist(), bond_lines(s, self.x, covalent), strict=True):
             yield int(of[pair[0]]), f"violation: {line}"
+        # The deepest clash of each pair of residues.
         worst: dict[tuple[int, int], float] = {}
         for (i, j), overlap in zip(of[self.clashes.pairs], self.clashes.overlap_angstrom, strict=True):
             worst.setdefault((min(i, j), max(i, j)), overlap)

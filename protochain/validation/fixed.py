@@ -76,8 +76,8 @@ def _obstacle_residues(structure: Structure) -> Integers:
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     """Find broken bonds and clashes of fixed molecules, at positions x (na, 3) or the structure's own."""
-    # Bonds of fixed molecules that are no nucleotides are only known by distance: a torn one shows when it
-    # leaves the molecule in pieces.
+    # Bonds of fixed molecules except nucleotides follow from distances. A broken one leaves the molecule in
+    # pieces.
     none = np.empty((0, 2), dtype=np.int64)
     if not structure.kept.any():
         return FixedFaults(none, none)

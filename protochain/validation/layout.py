@@ -17,10 +17,10 @@ NONE = -1
 class Layout(NamedTuple):
     """Amino acids of a structure, their atoms and neighbours."""
 
-    # (nr,) bool: What has a backbone: no caps, and nothing that is kept with the protein.
+    # (nr,) bool: Residues with a backbone, without caps and hetero molecules.
     amino: NDArray[np.bool_]
-    atom: dict[str, Integers]  # Index of the atom of that name in each amino acid, -1 where there is none.
-    # (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
+    atom: dict[str, Integers]  # Index of the atom of that name in each amino acid, -1 if missing.
+    # (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 if missing.
     before: Integers
     after: Integers
 

@@ -32,7 +32,7 @@ def packing(x: Floats, radius: Floats, partner: Floats, partner_radius: Floats) 
     filled, void = int((off < 0.0).sum()), between[off >= 0.0]
     empty = _grid_around(void, PROBE)
     room = np.minimum(_outside(empty, x, radius, 2.0 * PROBE), 2.0 * PROBE - _STEP)
-    # A ball without atoms that holds a probe: with one at each point of its surface none is left out.
+    # Remove the points that a probe reaches: balls without atoms, of at least its radius, contain them.
     for least in np.arange(PROBE, 2.0 * PROBE, _STEP):
         if (mask := (room >= least) & (room < least + _STEP)).any():
             void = void[cKDTree(empty[mask]).query(void, distance_upper_bound=least)[0] > least]

@@ -108,10 +108,7 @@ class Violations(Value):
         return f"violations in {counted(len(self.residues), 'residue')}: {parts}"
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
-        """Describe each violation in a line: peptide bonds, angles, clashes, distances, covalent bonds.
-
-        The positions measured are x (na, 3), nm, by default the structure's own.
-        """
+        """Describe each violation in a line, at x (na, 3), nm, by default the structure's own positions."""
         x = structure.positions if x is None else x
         covalent = [f"covalent bond: {line}" for line in bond_lines(structure, x, self.covalent)]
         x = ANGSTROM_PER_NM * x
