@@ -13,7 +13,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.mechanics.multibody import HingeKind
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.templates import Template
-from protochain.structure.preparation.recognise import recognised
+from protochain.structure.preparation.recognise import find_template
 
 TYPES = {"C1": ("lig-C1", "C"), "C2": ("lig-C2", "C"), "O1": ("lig-O", "O"), "HO1": ("lig-H", "H")}
 CHARGE = {"C1": 0.05, "C2": 0.2, "O1": -0.65, "HO1": 0.4}
@@ -234,7 +234,7 @@ def test_bonds_and_elements_decide_what_is_recognised(bonds, same):
     ring = molecule("A0 A3,A3 A1,A1 A5,A5 A2,A2 A4,A4 A0,A5 Z", atoms)
     elements = {f"C{k}": "C" for k in range(1, 7)} | ({"O": "O"} if " O" in bonds else {"O": "N"})
     member = Member("LIG", "1", "", "A", [])
-    found = recognised(member, ring, [molecule(bonds, elements)])
+    found = find_template(member, ring, [molecule(bonds, elements)])
     assert (found is not None) == same
     if found is not None:
         assert {frozenset(pair) for pair in found.bonds} == {frozenset(pair) for pair in ring.bonds}
@@ -249,6 +249,6 @@ def test_hydrogens_of_the_file_choose_among_states(tmp_path):
     member = Member("FMT", "1", "", "A", [])
     seen = molecule("A OA,A OB,OB HB", {"A": "C", "OA": "O", "OB": "O", "HB": "H"})
     bare = molecule("A OA,A OB", {"A": "C", "OA": "O", "OB": "O"})
-    assert recognised(member, seen, [anion, acid]).hydrogens == {"OB": ["HB"]}
-    assert recognised(member, bare, [anion, acid]).hydrogens == {}
-    assert list(recognised(member, bare, [acid, anion]).hydrogens.values()) == [["H"]]
+    assert find_template(member, seen, [anion, acid]).hydrogens == {"OB": ["HB"]}
+    assert find_template(member, bare, [anion, acid]).hydrogens == {}
+    assert list(find_template(member, bare, [acid, anion]).hydrogens.values()) == [["H"]]

@@ -47,7 +47,7 @@ def named(name, *names, state=""):
     ],
 )
 def test_hydrogens_of_the_file_show_a_state(residue, state):
-    assert module._shown(residue) == state
+    assert module._state_in_file(residue) == state
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from protochain.structure.molecule.templates import (
     template_name,
     templates,
 )
-from protochain.structure.preparation.recognise import _matched
+from protochain.structure.preparation.recognise import _match_atoms
 from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 
 OWN = """\
@@ -201,6 +201,6 @@ def test_a_molecule_of_many_like_pieces_is_compared_in_bounded_time():
         return kind, {f"{i}{end}": {f"{i}{1 - end}"} for i, _ in enumerate(pairs) for end in (0, 1)}
 
     like = ["CC"] * 14
-    assert _matched(graph([*like, "NN", "OO"]), graph([*like, "NO", "NO"])) is None
-    found = _matched(graph([*like, "NO", "NO"]), graph(["NO", *like, "ON"]))
+    assert _match_atoms(graph([*like, "NN", "OO"]), graph([*like, "NO", "NO"])) is None
+    found = _match_atoms(graph([*like, "NO", "NO"]), graph(["NO", *like, "ON"]))
     assert found is not None and found["00"] == "140" and found["151"] in ("140", "150")

@@ -23,7 +23,7 @@ from protochain.structure.molecule.repairs import KEEP_ALL, Count, Kind, Loss, R
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
 from protochain.structure.preparation.linkage import STATED
-from protochain.structure.preparation.recognise import by_element, recognised
+from protochain.structure.preparation.recognise import by_element, find_template
 from protochain.structure.preparation.structure_draft import (
     Candidate,
     Changes,
@@ -298,7 +298,7 @@ def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | O
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
                 is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
                 seen = first.template
-                if template := seen and recognised(first, seen, users):
+                if template := seen and find_template(first, seen, users):
                     first.source, part.evidence = template, Evidence.USERS_TEMPLATE
                 elif not (is_ion or first.name in residues.NUCLEOTIDES):
                     part.evidence = Evidence.SMALL

@@ -11,13 +11,13 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, los
 
 
 def fullest(name: str) -> str:
-    """Name of the state of an amino acid that has the atoms of all."""
+    """Return the protonation state of an amino acid with all atoms of its other states."""
     return "HIP" if name == "HIS" else name
 
 
-def convert_to_parent(draft: Draft, member: Member, why: Reason) -> Changes:
+def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
-    residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
+    residue, parent, original = member.residue, member.parent or archive_parent(member.name), member.name
     usual = draft.templates[fullest(parent)]
     expected = {*usual.element, *other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
     for name in set(usual.heavy) - {atom.name for atom in member.atoms}:
@@ -30,22 +30,22 @@ def convert_to_parent(draft: Draft, member: Member, why: Reason) -> Changes:
         atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
     ]
     member.name, member.state, member.source = parent, "", None
-    gone = tuple(a.name for a in strange)
-    lost = losses(member, strange, why)
-    if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
-        # The table does not say of which configuration it is.
+    removed = tuple(a.name for a in strange)
+    lost = losses(member, strange, reason)
+    if gemmi.find_tabulated_residue(original).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
+        # The table does not contain its configuration.
         member.is_d = chirality(member, least=WELL_FORMED) < 0
-    if given == "MSE":
+    if original == "MSE":
         yield Repair.of(Kind.SELENOMETHIONINE, lost, residue=residue)
-    elif given != name_in_file(parent, member.is_d):
-        cut, whole = _TO_D if member.is_d else _TO_PARENT
+    elif original != name_in_file(parent, member.is_d):
+        truncated, complete = _TO_D if member.is_d else _TO_PARENT
         name = name_in_file(parent, member.is_d)
-        yield Repair.of(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
-    elif gone or chirality(member) < 1:  # One of the other configuration is told with all that are.
-        kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
-        yield Repair.of(kind, lost, residue=residue, atoms=gone)
+        yield Repair.of(truncated if removed else complete, lost, residue=residue, name=name, atoms=removed)
+    elif removed or chirality(member) < 1:  # Other inversions are reported together.
+        kind = Kind.MIRRORED_CUT if removed else Kind.MIRRORED
+        yield Repair.of(kind, lost, residue=residue, atoms=removed)
 
 
 _TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D
 _TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
-"""With atoms left out, and whole."""
+"""Kinds of repairs with and without removed atoms."""

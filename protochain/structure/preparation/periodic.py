@@ -1,6 +1,6 @@
-"""Molecules that a periodic box breaks, made whole; chains in another image, brought back.
+"""Molecules broken by a periodic box are made whole, and chains in another image are moved back.
 
-Positions move by lattice vectors only. A structure that is whole stays as it is, bit for bit.
+Positions move by lattice vectors only. A whole structure stays unchanged, bit for bit.
 """
 
 from itertools import pairwise, product
@@ -17,9 +17,9 @@ from protochain.structure.molecule.residues import Residue
 from protochain.structure.preparation.structure_draft import Changes, Draft
 
 _THINNEST = 3.0
-"""Angstrom. No molecule has a cell as thin as this; files without a box state 1 angstrom or 0."""
+"""Angstrom. No molecule has a cell as thin as this. Files without a box state 1 angstrom or 0."""
 _BONDED, _LINKED = 2.2, 3.0
-"""Angstrom: longest bonds within residues; and between them, as of models whose bonds are off."""
+"""Angstrom: longest bonds within residues, and between residues, also in models with distorted bonds."""
 _DISULFIDE = 2.5
 _CONTACT = 6.0
 """Angstrom between heavy atoms of molecules that touch, as in frames."""
@@ -35,28 +35,28 @@ class _Molecules:
         self.residues = [(chain, residue) for chain in model for residue in chain]
         self.atoms = [atom for _, residue in self.residues for atom in residue]
         sizes = [len(residue) for _, residue in self.residues]
-        self.of = np.repeat(np.arange(len(sizes)), sizes)
+        self.residue_of = np.repeat(np.arange(len(sizes)), sizes)
         self.starts = np.concatenate([[0], np.cumsum(sizes)])
         self.lattice = np.array(cell.orth.mat.tolist()).T
         self.to_fractions = np.linalg.inv(self.lattice)
         self.x = np.array([atom.pos.tolist() for atom in self.atoms])
         self.turns = np.zeros((len(self.x), 3))
         self.piece = np.arange(len(sizes))
-        of = self.of.tolist()
-        self.ends = {(of[k], a.name): k for k, a in enumerate(self.atoms) if a.name in {*sum(_LINKS, ())}}
+        owner = self.residue_of.tolist()
+        self.ends = {(owner[k], a.name): k for k, a in enumerate(self.atoms) if a.name in {*sum(_LINKS, ())}}
 
-    def now(self, atoms: Integers) -> Floats:
-        """Positions of atoms after their moves."""
+    def positions(self, atoms: Integers) -> Floats:
+        """Return the positions of atoms after their moves."""
         return np.asarray(self.x[atoms] + self.turns[atoms] @ self.lattice)
 
-    def between(self, one: int, other: int) -> tuple[Floats, float, float]:
-        """Turns from one atom to the nearest image of another, and the distances with and without them."""
-        way = np.diff(self.now(np.array([one, other])), axis=0)[0]
-        turns = np.round(way @ self.to_fractions)
-        return turns, float(np.linalg.norm(way - turns @ self.lattice)), float(np.linalg.norm(way))
+    def nearest_image(self, first: int, second: int) -> tuple[Floats, float, float]:
+        """Return the turns to another atom's nearest image, and the distances to this image and to the atom."""
+        vector = np.diff(self.positions(np.array([first, second])), axis=0)[0]
+        turns = np.round(vector @ self.to_fractions)
+        return turns, float(np.linalg.norm(vector - turns @ self.lattice)), float(np.linalg.norm(vector))
 
     def join_within(self) -> None:
-        """Bring the atoms of each residue together."""
+        """Move the atoms of each residue together."""
         fractions = self.x @ self.to_fractions
         bounds = [
             (
@@ -76,11 +76,11 @@ class _Molecules:
         direct = KDTree(x).query_pairs(_BONDED, output_type="ndarray")
         if len(np.unique(components(direct, len(x)))) == 1:
             return turns
-        way = x[None] - x[:, None]
-        images = np.round(way @ self.to_fractions)
-        length = np.linalg.norm(way - images @ self.lattice, axis=-1) + np.finfo(float).eps
+        vectors = x[None] - x[:, None]
+        images = np.round(vectors @ self.to_fractions)
+        length = np.linalg.norm(vectors - images @ self.lattice, axis=-1) + np.finfo(float).eps
         if not {"CA", "C1'"} & {atom.name for atom in residue}:
-            # Molecules that share a number may lie anywhere: only bonds join.
+            # Molecules that share a number may be anywhere: only bonds join them.
             length[length > _BONDED] = 0.0
         tree = minimum_spanning_tree(length)
         order, parent = breadth_first_order(tree, 0, directed=False)
@@ -89,7 +89,7 @@ class _Molecules:
         return turns
 
     def join_chains(self) -> None:
-        """Bring each residue to the one before it that it is bonded to."""
+        """Move each residue to the residue before it, if they are bonded."""
         for r, following in pairwise(range(len(self.residues))):
             if self.residues[r][0].name != self.residues[following][0].name:
                 continue
@@ -97,66 +97,66 @@ class _Molecules:
                 i, j = self.ends.get((r, end)), self.ends.get((following, start))
                 if i is None or j is None:
                     continue
-                turns, nearest, length = self.between(i, j)
+                turns, nearest, length = self.nearest_image(i, j)
                 if nearest < _LINKED:
                     self.piece[following] = self.piece[r]
                     if length >= _LINKED:
                         self.turns[self.starts[following] : self.starts[following + 1]] -= turns
 
     def move(self, piece: int, turns: Floats) -> None:
-        self.turns[(self.piece == piece)[self.of]] += turns
+        self.turns[(self.piece == piece)[self.residue_of]] += turns
 
     def join_disulfides(self) -> list[int]:
-        """Bring chains to the chains that they have disulfide bonds with, and return their first residues."""
+        """Move chains to their partners in disulfide bonds, and return the first residues of moved chains."""
         sulphurs = np.array([k for k, atom in enumerate(self.atoms) if atom.name == "SG"], dtype=np.int64)
-        way = self.x[sulphurs][None] - self.x[sulphurs][:, None]
-        way -= np.round(way @ self.to_fractions) @ self.lattice
+        vectors = self.x[sulphurs][None] - self.x[sulphurs][:, None]
+        vectors -= np.round(vectors @ self.to_fractions) @ self.lattice
         moved = []
-        for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(way, axis=-1) < _DISULFIDE, 1))].tolist():
-            one, other = (int(self.piece[self.of[k]]) for k in (i, j))
-            if one != other:
-                turns, nearest, length = self.between(i, j)
+        for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(vectors, axis=-1) < _DISULFIDE, 1))].tolist():
+            first, second = (int(self.piece[self.residue_of[k]]) for k in (i, j))
+            if first != second:
+                turns, nearest, length = self.nearest_image(i, j)
                 if nearest < _DISULFIDE <= length:
-                    self.move(other, -turns)
-                    moved.append(other)
+                    self.move(second, -turns)
+                    moved.append(second)
                 if nearest < _DISULFIDE:
-                    self.piece[self.piece == other] = one
+                    self.piece[self.piece == second] = first
         return moved
 
     def join_images(self) -> list[int]:
-        """Bring molecules that touch no other to the image that does, and return their first residues."""
+        """Move molecules without contacts to an image in contact, and return their first residues."""
         heavy = np.array([k for k, atom in enumerate(self.atoms) if not atom.is_hydrogen()])
-        groups = [heavy[atoms] for atoms in group_members(self.piece[self.of[heavy]])]
+        groups = [heavy[atoms] for atoms in group_members(self.piece[self.residue_of[heavy]])]
         # Waters stay: they are obstacles at most, and many.
         groups = [atoms for atoms in groups if [self.atoms[k].element.name for k in atoms] not in ([], ["O"])]
-        pieces = {int(self.piece[self.of[atoms[0]]]): atoms for atoms in groups}
+        pieces = {int(self.piece[self.residue_of[atoms[0]]]): atoms for atoms in groups}
         counts = np.bincount(self.piece)
         chains = [piece for piece in pieces if counts[piece] > 1]
         moved: list[int] = []
         placed = chains[:1]
         waiting = chains[1:]
         while waiting:
-            tree = KDTree(self.now(np.concatenate([pieces[piece] for piece in placed])))
+            tree = KDTree(self.positions(np.concatenate([pieces[piece] for piece in placed])))
             images = {piece: self._image(tree, pieces[piece]) for piece in waiting}
-            # Chains in contact first, then those in contact by an image, then the others as they are.
+            # Chains in contact come first, then chains with an image in contact, then the unmoved others.
             chosen = min(waiting, key=lambda piece: _rank(images[piece]))
-            moved += self._moved(chosen, images[chosen])
+            moved += self._move_to_image(chosen, images[chosen])
             placed.append(chosen)
             waiting.remove(chosen)
         if placed:
-            tree = KDTree(self.now(np.concatenate([pieces[piece] for piece in placed])))
-            for piece in (each for each in pieces if counts[each] == 1):
-                moved += self._moved(piece, self._image(tree, pieces[piece]))
+            tree = KDTree(self.positions(np.concatenate([pieces[piece] for piece in placed])))
+            for piece in (p for p in pieces if counts[p] == 1):
+                moved += self._move_to_image(piece, self._image(tree, pieces[piece]))
         return moved
 
-    def _moved(self, piece: int, turns: Floats | None) -> list[int]:
+    def _move_to_image(self, piece: int, turns: Floats | None) -> list[int]:
         if turns is None or not turns.any():
             return []
         self.move(piece, turns)
         return [piece]
 
     def _image(self, tree: KDTree, atoms: Integers) -> Floats | None:
-        return touching_image(tree, self.now(atoms), self.lattice, _CONTACT)
+        return touching_image(tree, self.positions(atoms), self.lattice, _CONTACT)
 
 
 def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> Floats | None:
@@ -176,7 +176,7 @@ def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> 
     Returns
     -------
     array (3,), or None
-        How many of each lattice vector to add: zeros if the molecule touches the others as it is. None if no
+        How many of each lattice vector to add. Zeros if the molecule touches the others unmoved. None if no
         image does.
     """
     if np.min(tree.query(x)[0]) < contact:
@@ -191,20 +191,20 @@ def _rank(turns: Floats | None) -> int:
 
 
 def make_whole(draft: Draft) -> Changes:
-    """Make the molecules of a model whole by the cell of its file, and report those that moved."""
+    """Make the molecules of a model whole by the cell of its file, and report the moved molecules."""
     structure, model, cell = draft.file, draft.model, draft.file.cell
     if min(cell.a, cell.b, cell.c) < _THINNEST or not cell.is_crystal():
         return
     molecules = _Molecules(model, cell)
     molecules.join_within()
     molecules.join_chains()
-    broken = np.unique(molecules.of[molecules.turns.any(axis=1)]).tolist()
+    broken = np.unique(molecules.residue_of[molecules.turns.any(axis=1)]).tolist()
     moved = molecules.join_disulfides()
     # Chains of crystals stay in the asymmetric unit.
     if broken or structure.spacegroup_hm.replace(" ", "") in ("", "P1"):
         moved += molecules.join_images()
     for k in np.flatnonzero(molecules.turns.any(axis=1)).tolist():
-        molecules.atoms[k].pos = gemmi.Position(*molecules.now(np.array([k]))[0].tolist())
+        molecules.atoms[k].pos = gemmi.Position(*molecules.positions(np.array([k]))[0].tolist())
     box = " x ".join(f"{length:g}" for length in (cell.a, cell.b, cell.c))
     if broken:
         yield Repair.of(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_place(molecules, broken[0]))

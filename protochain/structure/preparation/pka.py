@@ -1,6 +1,6 @@
 """pKa of side chains in their surroundings, by PROPKA.
 
-Olsson, Soendergaard, Rostkowski, Jensen, J. Chem. Theory Comput. 7:525 (2011); Soendergaard, Olsson,
+Olsson, Soendergaard, Rostkowski, Jensen, J. Chem. Theory Comput. 7:525 (2011), and Soendergaard, Olsson,
 Rostkowski, Jensen, J. Chem. Theory Comput. 7:2284 (2011).
 """
 
@@ -17,34 +17,34 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.preparation.structure_draft import Draft
 
 _PER_CHAIN = 9000
-"""Residues that a chain of a PDB file may number, and the names of its chains."""
+"""Residues per chain of the PDB text, and the names of its chains."""
 _CHAINS = ascii_letters + digits
-_MEANT = {"ASP", "GLU", "HIS", "CYS", "LYS"}
+_GROUPS = {"ASP", "GLU", "HIS", "CYS", "LYS"}
 
 
 def by_propka(draft: Draft) -> Mapping[int, float]:
-    """Find the pKa of the acids and bases of a protein, with all that is kept with it."""
+    """Compute the pKa of a protein's acids and bases, in the presence of the hetero molecules."""
     run = library("propka.run", "pka")
     members = draft.members
     if len(members) > _PER_CHAIN * len(_CHAINS):
         raise StructureError(f"{draft.source}: ph auto: {len(members)} residues are too many for PROPKA")
     logging.getLogger("propka").setLevel(logging.ERROR)
     try:
-        made = run.single("x.pdb", ["-q"], StringIO(_as_pdb(draft, members)), write_pka=False)
+        result = run.single("x.pdb", ["-q"], StringIO(_as_pdb(draft, members)), write_pka=False)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise StructureError(f"{draft.source}: PROPKA fails ({error}); give ph a number") from None
-    groups = [group for group in made.conformations["AVR"].groups if group.residue_type in _MEANT]
+    groups = [group for group in result.conformations["AVR"].groups if group.residue_type in _GROUPS]
     places = {_place(k): id(member) for k, member in enumerate(members)}
     return {places[g.atom.chain_id, g.atom.res_num]: float(g.pka_value) for g in groups}
 
 
 def _place(k: int) -> tuple[str, int]:
-    """Chain and number of a residue in what PROPKA reads."""
+    """Return the chain and number of a residue in the input of PROPKA."""
     return _CHAINS[k // _PER_CHAIN], k % _PER_CHAIN + 1
 
 
 def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
-    """Heavy atoms as PDB records, with a TER after each piece of a chain."""
+    """Return the heavy atoms as PDB records, with a TER after each piece of a chain."""
     number = {id(member): _place(k) for k, member in enumerate(members)}
     lines = list[str]()
     for part in draft.parts:
@@ -53,7 +53,7 @@ def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
             chain, n = number[id(member)]
             for a in member.atoms:
                 if not a.is_hydrogen():
-                    place = "".join(f"{each:8.3f}" for each in a.pos.tolist())
+                    place = "".join(f"{coordinate:8.3f}" for coordinate in a.pos.tolist())
                     lines.append(
                         f"{record:6}{1:5d} {_name(a):4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
                         f"{1.0:6.2f}{0.0:6.2f}          {a.element.name.upper():>2}"
@@ -63,5 +63,5 @@ def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
 
 
 def _name(a: gemmi.Atom) -> str:
-    """Name of an atom in the columns that its element has."""
+    """Return the name of an atom, aligned by its element."""
     return a.name[:4] if len(a.element.name) > 1 or len(a.name) > 3 else f" {a.name}"

@@ -152,7 +152,7 @@ def load(
     Returns
     -------
     Structure
-        Prepared protein; ``repairs`` lists every change.
+        Prepared protein, whose ``repairs`` list every change.
 
     Raises
     ------

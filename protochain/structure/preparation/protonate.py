@@ -15,29 +15,29 @@ from protochain.structure.preparation.pka import by_propka
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 
 BONDED = 1.5
-"""Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
+"""Angstrom: a hydrogen further than this from every heavy atom of its residue is removed."""
 _HYDROXYL = 1.3
 """Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
 _BRIDGED = "CYX"
-"""What Amber calls half a disulfide."""
+"""Amber's name of a cysteine in a disulfide."""
 _USUAL: Mapping[int, float] = {}
-"""pKa of single residues: none but those of their kinds."""
+"""pKa of single residues. Without entries, the pKa of the kind of residue applies."""
 _UNPLACED = [float("nan")] * 3
 
 
 def protonate(draft: Draft) -> Changes:
-    """Choose protonation states, as shown by names or hydrogens else by pH; hydrogens added stay NaN."""
-    known, ph = draft.templates, draft.reading.chemistry.ph
+    """Choose protonation states by names and hydrogens, or else by pH. Positions of new hydrogens are NaN."""
+    templates, ph = draft.templates, draft.reading.chemistry.ph
     bridged = {id(member) for pair in draft.bridges for member in pair}
     pka = by_propka(draft) if draft.reading.ph == AUTO else _USUAL
-    shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
+    shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _state_in_file(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = choose_flips(
         (
             member,
             None
             if member.name == "HIS" and not states[id(member)] and member.template is None
-            else part.template(known, i, states[id(member)]) or part.template(known, i),
+            else part.template(templates, i, states[id(member)]) or part.template(templates, i),
         )
         for part in draft.parts
         for i, member in enumerate(part.members)
@@ -51,8 +51,8 @@ def protonate(draft: Draft) -> Changes:
                 kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
                 yield Repair.of(kind, residue=member.residue)
             state = states[id(member)]
-            own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
-            template = yield from _template(known, part, i, shown[id(member)], state, own)
+            residue_pka = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
+            template = yield from _template(templates, part, i, shown[id(member)], state, residue_pka)
             renamed += yield from _match(member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
@@ -65,14 +65,14 @@ def protonate(draft: Draft) -> Changes:
 
 
 def _template(
-    known: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
+    templates: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
 ) -> Generator[Repair, None, Template]:
-    """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
+    """Return the template of a residue in a shown or chosen state, and report which."""
     member = part.members[i]
     if member.template is not None:
         return member.template
-    template = part.template(known, i, state)
-    usual = part.template(known, i)
+    template = part.template(templates, i, state)
+    usual = part.template(templates, i)
     assert usual is not None
     if member.raw_name.endswith(_BRIDGED) and not shown:
         yield Repair.of(Kind.NO_PARTNER, residue=member.residue, name=member.raw_name)
@@ -95,7 +95,7 @@ def _template(
 
 
 def _free_pair(member: Member) -> str:
-    """State of a residue whose free pair of electrons is bonded; empty for the usual one."""
+    """Return the state of a residue with a bonded lone pair. Empty for the usual state."""
     bonded = {a.name for a in (*member.metals, *member.links)}
     if member.name == "HIS" and bonded & {"ND1", "NE2"}:
         return "HIE" if "ND1" in bonded else "HID"
@@ -107,12 +107,12 @@ def _free_pair(member: Member) -> str:
 
 
 def _is_imidazolate(member: Member) -> bool:
-    """Whether both nitrogens of a histidine hold metals, as in superoxide dismutase."""
+    """Whether both nitrogens of a histidine bind metals, as in superoxide dismutase."""
     return member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}
 
 
-def _shown(member: Member) -> str:
-    """Protonation state that the residue's name or hydrogens in the file show."""
+def _state_in_file(member: Member) -> str:
+    """Return the protonation state that the residue's name or hydrogens in the file show."""
     if member.state:
         return member.state
     names = {a.name for a in member.atoms}
@@ -134,14 +134,14 @@ def _shown(member: Member) -> str:
 
 
 def _acid_oxygens(member: Member) -> list[str]:
-    """Names of the oxygens of a phosphate that have a hydrogen in the file."""
+    """Return the names of the oxygens of a phosphate that have a hydrogen in the file."""
     hydrogens = [a for a in member.atoms if a.is_hydrogen()]
     oxygens = [a for a in member.atoms if a.name in ("O1P", "O2P", "O3P")]
     return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
 
 
 def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
-    """Protonation state at a pH; empty for the usual one."""
+    """Return the protonation state at a pH. Empty for the usual state."""
     acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
     if acid and not member.metals and ph <= pka.get(id(member), acid[0]):
         return acid[1]
@@ -149,7 +149,7 @@ def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
 
 
 def _match(member: Member, template: Template) -> Generator[Repair, None, int]:
-    """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
+    """Rename and order the hydrogens of the file, remove hydrogens that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
     heavy = member.heavy
@@ -157,11 +157,11 @@ def _match(member: Member, template: Template) -> Generator[Repair, None, int]:
     strange, expected = list[str](), template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
-        # Where atoms overlap, another may be nearer than the one that it is named for.
-        own = [
+        # If atoms overlap, another heavy atom may be nearer than the parent of that name.
+        parents = [
             a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= BONDED
         ]
-        nearest = min(own or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        nearest = min(parents or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
         if nearest.pos.dist(hydrogen.pos) <= BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
@@ -169,16 +169,16 @@ def _match(member: Member, template: Template) -> Generator[Repair, None, int]:
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
-        given = bonded[parent.name]
-        named = {a.name: a for a in given if a.name in names}
-        others = [a for a in given if a.name not in names]
+        hydrogens = bonded[parent.name]
+        by_name = {a.name: a for a in hydrogens if a.name in names}
+        unnamed = [a for a in hydrogens if a.name not in names]
         for name in names:
-            if name not in named and others:
-                named[name] = others.pop(0)
-                named[name].name = name
-        strange += [a.name for a in given if a not in named.values()]
+            if name not in by_name and unnamed:
+                by_name[name] = unnamed.pop(0)
+                by_name[name].name = name
+        strange += [a.name for a in hydrogens if a not in by_name.values()]
         member.atoms.append(parent)
-        member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
+        member.atoms += [by_name.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
         yield Repair.of(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)

@@ -15,21 +15,21 @@ from protochain.structure.molecule.templates import Template, standard_name, tem
 from protochain.structure.preparation.structure_draft import Changes, Draft
 
 _OF_ELEMENTS = "CHNOSPD"
-"""Letters with which the names of atoms of amino acids and nucleotides begin, digits aside."""
+"""First letters of atom names in amino acids and nucleotides, without leading digits."""
 _PSEUDO = re.compile(r"PS\d*|CEN|NV\d*|ORIG")
 _PADDING = re.compile(r"V[0-8]")
 _SITE = re.compile(r"[MELVX]|DO|OM")
-"""How the names of the further sites of a water begin."""
+"""First letters of the names of virtual sites of a water."""
 
 
 def remove_pseudo_atoms(draft: Draft) -> Changes:
     """Remove pseudo-atoms from amino acids, nucleotides and waters of a model, and report them."""
-    known, sites, waters = templates(), 0, 0
+    all_templates, sites, waters = templates(), 0, 0
     for chain in draft.model:
         for residue in chain:
             name = standard_name(residue.name.strip().upper())[0]
             is_known = name in STANDARD or name in CAPS or name in NUCLEOTIDES
-            template = known.get(template_name(name)) if is_known else None
+            template = all_templates.get(template_name(name)) if is_known else None
             of_water = [] if is_known else _sites(residue)
             places = of_water or _pseudo(residue, template)
             names = tuple(dict.fromkeys(residue[k].name for k in places))
@@ -53,7 +53,7 @@ def _name_water(residue: gemmi.Residue) -> None:
 
 
 def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
-    """Places of the pseudo-atoms of a residue; by names only in an amino acid or nucleotide, not in beads."""
+    """Return the indices of pseudo-atoms. Names count only in amino acids and nucleotides without beads."""
     is_atomic = {"CA", "C1'", "C1*", "CH3"} & {atom.name for atom in residue}
     template = template if is_atomic else None
     atoms = {*template.element, *template.synonyms} if template else set()
@@ -68,7 +68,7 @@ def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
 
 
 def _is_named_so(name: str, heavy: Collection[str]) -> bool:
-    """Whether an unknown name is the name of a pseudo-atom: a deuterium has none of a heavy atom after D."""
+    """Whether an unknown name names a pseudo-atom: a Drude particle has a heavy atom's name after D."""
     letter = name.lstrip("0123456789")[:1]
     if name == "X":
         # The reader gives this name to an atom without one.
@@ -78,8 +78,8 @@ def _is_named_so(name: str, heavy: Collection[str]) -> bool:
 
 
 def _sites(residue: gemmi.Residue) -> list[int]:
-    """Places of the sites of a water that are not atoms: it has one oxygen and two hydrogens besides."""
+    """Return the indices of a water's virtual sites, if its other sites are one oxygen and two hydrogens."""
     names = [atom.name.lstrip("0123456789") for atom in residue]
     sites = [k for k, name in enumerate(names) if _SITE.match(name) and not residue[k].element.is_metal]
-    others = sorted(name[:1] for k, name in enumerate(names) if k not in sites)
-    return sites if others in (["H", "H", "O"], ["D", "D", "O"]) else []
+    letters = sorted(name[:1] for k, name in enumerate(names) if k not in sites)
+    return sites if letters in (["H", "H", "O"], ["D", "D", "O"]) else []

@@ -1,4 +1,4 @@
-"""Ligands recognised by their elements and bonds: programs name templates and atoms as they like."""
+"""Recognition of ligands by their elements and bonds, because names of templates and atoms vary."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -9,14 +9,13 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.templates import Template
 
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
-"""Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
-below the second."""
+"""Angstrom: largest excess of a bond over the sum of the covalent radii, and shortest bond."""
 _Graph = tuple[dict[str, tuple[str, int]], dict[str, set[str]]]
-"""What each heavy atom is, by name, and its heavy neighbours."""
+"""Element and number of hydrogens of each heavy atom, by name, and its heavy neighbours."""
 
 
 def by_element(member: Member) -> Template:
-    """Template of a molecule as it is in the file: elements and charges, bonds by distance."""
+    """Return the template of a molecule in the file: elements and charges, with bonds by distance."""
     atoms = member.atoms
     x = np.array([a.pos.tolist() for a in atoms])
     radius = np.array([a.element.covalent_r for a in atoms])
@@ -40,87 +39,87 @@ def by_element(member: Member) -> Template:
     )
 
 
-def recognised(member: Member, seen: Template, known: Iterable[Template]) -> Template | None:
-    """Find the template whose heavy atoms are bonded as those of a molecule."""
-    candidates = list(known)
+def find_template(member: Member, seen: Template, templates: Iterable[Template]) -> Template | None:
+    """Find the template with the same bonds of heavy atoms as a molecule."""
+    candidates = list(templates)
     for with_hydrogens in (True, False) if seen.hydrogens else (False,):
-        mine = _graph(seen, with_hydrogens)
+        graph = _graph(seen, with_hydrogens)
         for template in candidates:
-            called = _matched(mine, _graph(template, with_hydrogens))
-            if called is not None:
-                return _renamed(template, called, seen, member.name)
+            names = _match_atoms(graph, _graph(template, with_hydrogens))
+            if names is not None:
+                return _rename_template(template, names, seen, member.name)
     return None
 
 
 def _graph(template: Template, with_hydrogens: bool) -> _Graph:
     count = template.hydrogens if with_hydrogens else {}
     kinds = {name: (template.element[name], len(count.get(name, ()))) for name in template.heavy}
-    beside: dict[str, set[str]] = {name: set() for name in kinds}
+    bonds: dict[str, set[str]] = {name: set() for name in kinds}
     for first, second in template.bonds:
         if first in kinds and second in kinds:
-            beside[first].add(second)
-            beside[second].add(first)
-    return kinds, beside
+            bonds[first].add(second)
+            bonds[second].add(first)
+    return kinds, bonds
 
 
-def _matched(mine: _Graph, its: _Graph) -> dict[str, str] | None:
-    """Name in the molecule of each heavy atom of a template; None if they differ, or may. Backtracking."""
-    (kind, beside), (its_kind, its_beside) = mine, its
-    if sorted(kind.values()) != sorted(its_kind.values()):
+def _match_atoms(molecule: _Graph, template: _Graph) -> dict[str, str] | None:
+    """Return the molecule's name of each heavy atom of a template, or None without a match. Backtracking."""
+    (kinds, bonds), (template_kinds, template_bonds) = molecule, template
+    if sorted(kinds.values()) != sorted(template_kinds.values()):
         return None
-    order = _outward(its_beside)
-    called: dict[str, str] = {}
+    order = _outward(template_bonds)
+    pairs: dict[str, str] = {}
     tried: list[list[str]] = []
     left = _MOST_TRIED
-    while len(called) < len(order):
-        name = order[len(called)]
-        if len(tried) == len(called):
-            anchor = next((called[other] for other in order[: len(called)] if other in its_beside[name]), "")
-            free = (beside[anchor] if anchor else kind.keys()) - {*called.values()}
+    while len(pairs) < len(order):
+        name = order[len(pairs)]
+        if len(tried) == len(pairs):
+            anchor = next((pairs[n] for n in order[: len(pairs)] if n in template_bonds[name]), "")
+            free = (bonds[anchor] if anchor else kinds.keys()) - {*pairs.values()}
             tried.append(sorted(free, reverse=True))
         while tried[-1]:
             left -= 1
             if not left:
                 return None
-            mine_name = tried[-1].pop()
-            bonded = {called[other] for other in its_beside[name] if other in called}
-            if kind[mine_name] == its_kind[name] and bonded == beside[mine_name] & {*called.values()}:
-                called[name] = mine_name
+            atom = tried[-1].pop()
+            bonded = {pairs[n] for n in template_bonds[name] if n in pairs}
+            if kinds[atom] == template_kinds[name] and bonded == bonds[atom] & {*pairs.values()}:
+                pairs[name] = atom
                 break
         else:
             tried.pop()
-            if not called:
+            if not pairs:
                 return None
-            called.popitem()
-    return called
+            pairs.popitem()
+    return pairs
 
 
 _MOST_TRIED = 100_000
-"""Pairs of atoms: molecules need some hundreds, but of like pieces the ways to pair them have no end."""
+"""Pairs of atoms: molecules need some hundreds, but equal pieces can be paired in too many ways."""
 
 
-def _outward(beside: Mapping[str, set[str]]) -> Sequence[str]:
-    """Atoms in an order in which each is bonded to one before it, where the molecule is in one piece."""
+def _outward(bonds: Mapping[str, set[str]]) -> Sequence[str]:
+    """Return the atoms in an order in which each is bonded to an earlier one, if any path connects them."""
     order: list[str] = []
-    for start in beside:
+    for start in bonds:
         ahead = [] if start in order else [start]
         while ahead:
             name = ahead.pop()
             if name not in order:
                 order.append(name)
-                ahead += sorted(beside[name])
+                ahead += sorted(bonds[name])
     return order
 
 
-def _renamed(template: Template, called: Mapping[str, str], seen: Template, name: str) -> Template:
-    """Template under the molecule's names; hydrogens that the file lacks keep the template's, if free."""
-    names, used = dict(called), {*seen.element}
+def _rename_template(template: Template, mapping: Mapping[str, str], seen: Template, name: str) -> Template:
+    """Return the template with the molecule's names. Missing hydrogens have the template's names, if free."""
+    names, used = dict(mapping), {*seen.element}
     for parent, hydrogens in template.hydrogens.items():
-        there = list(seen.hydrogens.get(called[parent], ()))
+        free_names = list(seen.hydrogens.get(mapping[parent], ()))
         for hydrogen in hydrogens:
-            new = there.pop(0) if there else hydrogen
+            new = free_names.pop(0) if free_names else hydrogen
             number = 1
-            while not new or (new in used and new not in seen.hydrogens.get(called[parent], ())):
+            while not new or (new in used and new not in seen.hydrogens.get(mapping[parent], ())):
                 new, number = f"H{number}", number + 1
             used.add(new)
             names[hydrogen] = new

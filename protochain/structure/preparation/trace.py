@@ -1,4 +1,4 @@
-"""C-alpha traces: what can be measured of a file that has no other atoms."""
+"""C-alpha traces, for measurements of files without other atoms."""
 
 import gemmi
 import numpy as np
@@ -13,20 +13,20 @@ from protochain.structure.preparation.read import standard_parent
 
 
 def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
-    """Take the C-alpha atoms of the amino acids of a model, without any other atom."""
+    """Return the C-alpha atoms of the amino acids of a model as a structure."""
     topology, x = app.Topology(), list[list[float]]()
     carbon = app.Element.getBySymbol("C")
-    for chain in next(each for each in parsed if each.num == model):
-        made = topology.addChain(chain.name.strip())
+    for chain in next(m for m in parsed if m.num == model):
+        added_chain = topology.addChain(chain.name.strip())
         for group in same_place(chain):
             residue = likeliest(group, "").residue
             name = standard_parent(residue.name.strip().upper())
             atom = residue.find_atom("CA", "*")
             if name in residues.STANDARD and atom:
                 code = residue.seqid.icode.strip()
-                place = topology.addResidue(name, made, str(residue.seqid.num), code)
+                place = topology.addResidue(name, added_chain, str(residue.seqid.num), code)
                 topology.addAtom("CA", carbon, place)
-                x.append([each / ANGSTROM_PER_NM for each in atom.pos.tolist()])
+                x.append([coordinate / ANGSTROM_PER_NM for coordinate in atom.pos.tolist()])
     if not x:
         raise StructureError(f"{source}: no C-alpha atom found; give a file with amino acids")
     return Structure(source, topology, np.array(x))
