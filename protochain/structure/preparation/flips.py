@@ -1,8 +1,7 @@
 """Flips of Asn, Gln and His, and tautomers of His, by one network of hydrogen bonds.
 
-Density does not distinguish the two orientations of an amide or a histidine ring. All sites are chosen
-together by hydrogen bonds and contacts, as by Reduce (Word, Lovell, Richardson, Richardson, J. Mol. Biol.
-285:1735, 1999).
+Density does not show the orientation of an amide or histidine ring. All sites are chosen together by hydrogen
+bonds and contacts, as by Reduce (Word, Lovell, Richardson, Richardson, J. Mol. Biol. 285:1735, 1999).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -51,9 +50,8 @@ _TURNABLE = 0.75
 _CONTACTS, _CONTACT_REACH = 1.5, 8.0
 """Hydrogen bonds per unit of the contact score, and angstrom from a pivot to atoms that touch its ends."""
 _WRONG, _PRIOR, _SCALE = 0.1, 4.0, 1.25
-"""Prior share of wrong orientations in a file, its weight in sites, and hydrogen bonds per factor e in the
-odds. Word et al. find 20 % of amides wrong. A site is flipped for a gain of 2.7, or less if other sites are
-wrong."""
+"""Prior share of wrong orientations, its weight in sites, and hydrogen bonds per factor e in the odds. Word
+et al. find 20 % of amides wrong. A site is flipped for a gain of 2.7, or less if other sites are wrong."""
 _SPARED = 1
 """Number of the likeliest errors that the estimate of the share ignores."""
 _ROUNDS = 12

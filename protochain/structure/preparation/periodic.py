@@ -50,7 +50,7 @@ class _Molecules:
         return np.asarray(self.x[atoms] + self.turns[atoms] @ self.lattice)
 
     def nearest_image(self, first: int, second: int) -> tuple[Floats, float, float]:
-        """Return the turns to another atom's nearest image, and the distances to this image and to the atom."""
+        """Return the turns to another atom's nearest image, and the distances with and without them."""
         vector = np.diff(self.positions(np.array([first, second])), axis=0)[0]
         turns = np.round(vector @ self.to_fractions)
         return turns, float(np.linalg.norm(vector - turns @ self.lattice)), float(np.linalg.norm(vector))
