@@ -95,13 +95,13 @@ def about(
         raise typer.Exit
 
 
-def as_said(error: ProtochainError) -> str:
+def message_of(error: ProtochainError) -> str:
     """Message of an error in the words of the command line, where some command has the option."""
     commands = map(_command, _COMMANDS)
-    named = {param.name for each in commands for param in each.params if isinstance(param, TyperOption)}
-    known = {*named, *(name for name, option in RENAMED.items() if option in named)}
+    options = {param.name for cmd in commands for param in cmd.params if isinstance(param, TyperOption)}
+    names = {*options, *(name for name, option in RENAMED.items() if option in options)}
     return error.told(
-        lambda part: str(part) if isinstance(part, Argument) and part.name not in known else as_option(part)
+        lambda part: str(part) if isinstance(part, Argument) and part.name not in names else as_option(part)
     )
 
 
@@ -141,9 +141,9 @@ def _status() -> int:
         status = app(standalone_mode=False)
         sys.stdout.flush()
     except WriteError as error:
-        return fail(as_said(error))
+        return fail(message_of(error))
     except ProtochainError as error:
-        return fail(as_said(error), BAD_INPUT)
+        return fail(message_of(error), BAD_INPUT)
     except TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"

@@ -60,8 +60,8 @@ def compare(
     from protochain.results.figures import check_figure, write_figure
     from protochain.structure import load
 
-    most = minimising.max_evaluations
-    chosen = _chosen(methods, tolerance, most)
+    limit = minimising.max_evaluations
+    chosen = _check_methods(methods, tolerance, limit)
     at_least(1)(repeats, "repeats")
     output = output or Path(f"{options.named_after(source)[0]}-comparison")
     check_folder(output, force)
@@ -69,14 +69,14 @@ def compare(
     outputs = [*files_of(output, options.named_after(source)[0], chosen), figure]
     options.check_outputs([source, reference], outputs, setup)
     context.with_resource(claim_folder(output, "comparison"))
-    known = load(reference) if reference else None
+    reference_structure = load(reference) if reference else None
     chain, energy, preparation = options.prepare(source, setup)
-    typical = sum(typical_evaluations(method, most) for method in chosen)
-    foretell(source, chain, energy, typical, len(chosen) * most)
+    typical = sum(typical_evaluations(method, limit) for method in chosen)
+    foretell(source, chain, energy, typical, len(chosen) * limit)
     context.with_resource(held_interrupts())
-    with _one_bar_each(most) as watch:
+    with _one_bar_each(limit) as watch:
         comparison = run(
-            chain, chosen, energy, tolerance, reference=known, repeats=repeats, watch=watch,
+            chain, chosen, energy, tolerance, reference=reference_structure, repeats=repeats, watch=watch,
             **{name: value for name, value in vars(minimising).items() if name in SETTINGS},
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
@@ -99,7 +99,7 @@ def compare(
     raise typer.Exit(options.exit_status(statuses, interrupted=bool(missing)))
 
 
-def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:
+def _check_methods(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:
     """Names of methods, each once; settings that make no sense for one of them are refused."""
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import recipe_of

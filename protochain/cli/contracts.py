@@ -69,11 +69,11 @@ _OF_RELAXING = (*of_relaxing.COLUMNS, *of_relaxing.INTERFACE_COLUMNS)
 _KNOWN: Kinds = {
     **_OTHERS,
     **{
-        each.key: each.kind
+        column.key: column.kind
         for columns in (of_minimising.COLUMNS, _OF_RELAXING, of_modes.COLUMNS, of_deviation.COLUMNS)
-        for each in columns
+        for column in columns
     },
-    **{key: number(each) for key, each in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
+    **{key: number(measure) for key, measure in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
 _OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
@@ -81,13 +81,13 @@ _KNOWN |= zip(LIGAND_ENDS, _OF_LIGANDS, strict=False)  # The names of its last c
 """Kinds of names: of columns, and of measures, which say themselves what they are."""
 
 
-def _row(names: str | Iterable[str | Column], **own: Kind) -> Kinds:
-    given = names.split() if isinstance(names, str) else names
-    known = (
-        (each, _KNOWN.get(each) or kind_of(each)) if isinstance(each, str) else (each.key, each.kind)
-        for each in given
+def _row(names: str | Iterable[str | Column], **further: Kind) -> Kinds:
+    columns = names.split() if isinstance(names, str) else names
+    kinds = (
+        (entry, _KNOWN.get(entry) or kind_of(entry)) if isinstance(entry, str) else (entry.key, entry.kind)
+        for entry in columns
     )
-    return dict(known) | own
+    return dict(kinds) | further
 
 
 def _optional(kinds: Kinds) -> Kinds:
@@ -96,7 +96,7 @@ def _optional(kinds: Kinds) -> Kinds:
 
 def _cells(*kinds: Kinds) -> Kinds:
     """Columns of a table: cells may be empty."""
-    return {name: cell(kind) for each in kinds for name, kind in each.items()}
+    return {name: cell(kind) for columns in kinds for name, kind in columns.items()}
 
 
 _ORIGIN = _row("input output seconds_preparation")
@@ -130,9 +130,9 @@ _RELAXED = {
 
 def _frames(columns: Iterable[str | Column], optional: Iterable[str | Column] = ()) -> Kinds:
     """Columns of a table of frames, which only those have that could be used."""
-    its = {**_row(columns), **_optional(_row(optional))}
+    task_columns = {**_row(columns), **_optional(_row(optional))}
     first = {**_row(FIRST, frame=int), **_optional(_row(FIRST[-1:]))}
-    return _cells(first, its, _row("seconds"), _optional(_row("output_frame")))
+    return _cells(first, task_columns, _row("seconds"), _optional(_row("output_frame")))
 
 
 _TRACE = _row(TRACE_COLUMNS)
@@ -146,9 +146,9 @@ _STRUCTURE = r"\.(pdb|cif)(\.(gz|bz2|xz|zst))?$"
 _BATCH_MORE = (r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
 
 
-def _of_batch(columns: Iterable[str], others: Iterable[str]) -> Kinds:
+def _of_batch(columns: Iterable[str], optional_columns: Iterable[str]) -> Kinds:
     """Columns of a batch; ``others`` are there if their method, or an interface, is."""
-    return _cells(_row(columns), _optional(_row(others)))
+    return _cells(_row(columns), _optional(_row(optional_columns)))
 
 
 _BOTH = [name for name in table.COLUMNS if name in table.RELAXED_COLUMNS]

@@ -56,9 +56,9 @@ def energy(
 
         return EnergyFrames(setup, between)
 
-    of_frames.run_if_asked(
+    of_frames.run_if_requested(
         context, [source], trajectory, frames, setup, task, output,
-        refused="by report", workers=workers, resume=resume, as_json=as_json,
+        excluded="by report", workers=workers, resume=resume, as_json=as_json,
     )  # fmt: skip
     files = [path for path in (output, report) if path]
     options.check_outputs([source], files, setup)

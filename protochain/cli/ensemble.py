@@ -47,8 +47,8 @@ def ensemble(
     output = output or Path(f"{named_after(source)[0]}.medoids.pdb")
     check_outputs([source, trajectory, after], [output, csv, residues], setup)
 
-    def read(its: Path | None) -> "Clusters":
-        return cluster_frames(source, its, frames, by=by, within=within, measure=measure, **vars(setup))
+    def read(path: Path | None) -> "Clusters":
+        return cluster_frames(source, path, frames, by=by, within=within, measure=measure, **vars(setup))
 
     clusters = read(trajectory)
     table = clusters.fluctuations
@@ -56,14 +56,14 @@ def ensemble(
         moved = read(after).fluctuations["ca_fluctuation_angstrom"]
         table = table.assign(ca_fluctuation_after_angstrom=moved)
     save(clusters.medoids, output)
-    its = clusters.table
+    members = clusters.table
     rows = [
         {
-            "cluster": k + 1, "frames": int((its["cluster"] == k + 1).sum()), "medoid": int(frame),
-            "distance_mean": float(its.loc[its["cluster"] == k + 1, "distance_to_medoid"].mean()),
+            "cluster": k + 1, "frames": int((members["cluster"] == k + 1).sum()), "medoid": int(frame),
+            "distance_mean": float(members.loc[members["cluster"] == k + 1, "distance_to_medoid"].mean()),
             "message": "",
         }
-        for k, frame in enumerate(its.loc[its["medoid"]].sort_values("cluster")["frame"])
+        for k, frame in enumerate(members.loc[members["medoid"]].sort_values("cluster")["frame"])
     ]  # fmt: skip
 
     def show(rows: list[dict[str, object]]) -> None:
@@ -71,8 +71,8 @@ def ensemble(
         headings = ("cluster", "frames", "medoid", f"mean distance, {unit}")
         print_rows(headings, [[row[key] for key in (*row,)[:4]] for row in rows], texts=0)
         worst = table.nlargest(3, "ca_fluctuation_angstrom")
-        named = [f"{r.chain}:{r.residue} {r.ca_fluctuation_angstrom:.1f}" for r in worst.itertuples()]
-        print(f"{counted(len(its), 'frame')}; C-alphas that fluctuate most, angstrom: {', '.join(named)}")
+        names = [f"{r.chain}:{r.residue} {r.ca_fluctuation_angstrom:.1f}" for r in worst.itertuples()]
+        print(f"{counted(len(members), 'frame')}; C-alphas that fluctuate most, angstrom: {', '.join(names)}")
 
-    tables = {csv: lambda: its, residues: lambda: table}
+    tables = {csv: lambda: members, residues: lambda: table}
     conclude(rows, tables, show, as_json, [output], input=str(source), by=by)

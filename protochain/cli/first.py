@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 METHOD = "lbfgs"
 
 
-def foretell_both(source: object, chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
+def announce_duration(source: object, chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
     """Say before a long run how long it will be, with a minimisation of so many times the usual length."""
     typical = times * typical_evaluations(METHOD, defaults.MAX_EVALUATIONS)
-    most = defaults.MAX_EVALUATIONS if times else 0
-    foretell(source, chain, energy, evaluations + typical, evaluations + most)
+    limit = defaults.MAX_EVALUATIONS if times else 0
+    foretell(source, chain, energy, evaluations + typical, evaluations + limit)
 
 
-def minimised_first(
+def minimise_first(
     chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED,
     restraint: "Sequence[Restraint]" = (),
 ) -> "tuple[Solution, str]":  # fmt: skip

@@ -42,38 +42,38 @@ Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default
 Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
 
 
-def are_asked(trajectory: Path | None, frames: str | None) -> bool:
+def are_requested(trajectory: Path | None, frames: str | None) -> bool:
     """Whether a command is to go over frames."""
     return trajectory is not None or frames is not None
 
 
-def only(given: Sequence[str | Path]) -> Path:
+def single_structure(inputs: Sequence[str | Path]) -> Path:
     """The one structure that frames are of."""
-    if len(given) != 1 or not options.is_one_file(str(given[0])):
+    if len(inputs) != 1 or not options.is_one_file(str(inputs[0])):
         raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
-    return Path(given[0])
+    return Path(inputs[0])
 
 
-def run_if_asked(
+def run_if_requested(
     context: typer.Context,
-    given: Sequence[str | Path],
+    inputs: Sequence[str | Path],
     trajectory: Path | None,
     frames: str | None,
     setup: "Setup",
     task: "Callable[[], Task]",
     table: Path | None,
     *,
-    refused: str = "",
+    excluded: str = "",
     alone: str = "workers resume",
     **how: Any,
 ) -> None:
     """Go over frames if asked for, and exit; options ``refused`` are none of these, ``alone`` only theirs."""
-    if not are_asked(trajectory, frames):
+    if not are_requested(trajectory, frames):
         return options.refuse(
             context, alone, "is of frames, of which there are none without ", Argument("trajectory")
         )
-    options.refuse(context, refused, "is none of frames")
-    source = only(given)
+    options.refuse(context, excluded, "is none of frames")
+    source = single_structure(inputs)
     with started_early(setup, how["workers"]):
         frame_task = task()
         table = table or Path(
@@ -99,7 +99,7 @@ def started_early(setup: "Setup", workers: int | None) -> AbstractContextManager
     return _processes(setup, workers).started_early()
 
 
-def opened(
+def open_ensemble(
     source: Path, trajectory: Path | None, frames: str | None, setup: "Setup"
 ) -> "tuple[Ensemble, Frames]":
     """Prepare the structure, and open its frames; say what was changed."""
@@ -142,57 +142,58 @@ def run(
     options.check_outputs([source, trajectory, *reads], [*files, report], setup, force, replaces)
     options.check_page(report)
     with claimed_files(*files):
-        ensemble, chosen = opened(source, trajectory, frames, setup)
+        ensemble, chosen = open_ensemble(source, trajectory, frames, setup)
         with frames_progress(task.name, len(chosen)) as watch:
-            done = run_frames(
+            result = run_frames(
                 ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes,
                 resume=resume, force=force, watch=watch,
             )  # fmt: skip
-    if done.was_complete:
-        print(f"{done.csv}: is complete; nothing was left to do", file=sys.stderr)
+    if result.was_complete:
+        print(f"{result.csv}: is complete; nothing was left to do", file=sys.stderr)
     if report:
         from protochain.batches.frame_report import write_report
 
-        write_report(done, task.name, chosen.source, report)
+        write_report(result, task.name, chosen.source, report)
     if as_json:
         options.print_json({
             "input": str(source), "trajectory": str(trajectory or source),
-            "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
-            "output": str(done.trajectory) if done.trajectory else None, "written": done.written,
-            "topology": str(done.topology) if done.topology else None,
-            "interrupted": done.interrupted, "report": str(report) if report else None,
+            "frames": sum(result.counts.values()), "counts": dict(result.counts), "csv": str(result.csv),
+            "output": str(result.trajectory) if result.trajectory else None, "written": result.written,
+            "topology": str(result.topology) if result.topology else None,
+            "interrupted": result.interrupted, "report": str(report) if report else None,
         })  # fmt: skip
     else:
-        _print(done, report)
-    if done.interrupted:
+        _print(result, report)
+    if result.interrupted:
         options.fail("interrupted; --resume does the rest")
-    usable = bool(done.counts.get("measured") or done.counts.get("converged") or done.written)
-    return options.exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
+    usable = bool(result.counts.get("measured") or result.counts.get("converged") or result.written)
+    statuses = Counter(result.counts).elements()
+    return options.exit_status(statuses, usable=usable, interrupted=result.interrupted)
 
 
-def _print(done: "FramesRun", report: Path | None) -> None:
+def _print(result: "FramesRun", report: Path | None) -> None:
     """Print how the frames ended, medians, and where all is."""
-    counts = ", ".join(f"{n} {status}" for status, n in done.counts.items())
-    print(f"{counted(sum(done.counts.values()), 'frame')}: {counts or 'none done'}")
-    if done.counts:
-        print(_medians(done))
-        if parted := _count_split_frames(done):
+    counts = ", ".join(f"{n} {status}" for status, n in result.counts.items())
+    print(f"{counted(sum(result.counts.values()), 'frame')}: {counts or 'none done'}")
+    if result.counts:
+        print(_medians(result))
+        if parted := _count_split_frames(result):
             print(parted)
-    trajectory = done.trajectory if done.written and not done.interrupted else None
-    options.print_files(trajectory, done.topology, done.csv, report)
+    trajectory = result.trajectory if result.written and not result.interrupted else None
+    options.print_files(trajectory, result.topology, result.csv, report)
 
 
 _PARTED = 10.0
 """Angstrom: molecules that touch in the structure and lie so far apart in a frame may be in two images."""
 
 
-def _count_split_frames(done: "FramesRun") -> str:
+def _count_split_frames(result: "FramesRun") -> str:
     """In how many frames molecules that touch in the structure lie far apart, and how far."""
     import pandas as pd
 
     from protochain.batches.frame_tasks import GAP
 
-    gap = pd.read_csv(done.csv, usecols=[GAP])[GAP]
+    gap = pd.read_csv(result.csv, usecols=[GAP])[GAP]
     if not (many := int((gap > _PARTED).sum())):
         return ""
     return (
@@ -201,15 +202,15 @@ def _count_split_frames(done: "FramesRun") -> str:
     )
 
 
-def _medians(done: "FramesRun") -> str:
+def _medians(result: "FramesRun") -> str:
     """Medians of a few columns, in words; of a large table only these are read."""
     import pandas as pd
 
     from protochain.results.columns import heading
 
-    existing = pd.read_csv(done.csv, nrows=0).columns
+    existing = pd.read_csv(result.csv, nrows=0).columns
     columns = [name for name in _SHOWN_COLUMNS if name in existing]
-    table = pd.read_csv(done.csv, usecols=columns)
+    table = pd.read_csv(result.csv, usecols=columns)
     sums = (
         [
             f"residues with violations {table['violations_start'].sum():.0f} before, "
@@ -222,7 +223,7 @@ def _medians(done: "FramesRun") -> str:
     medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in measures]
     highest = []
     for name in [name for name in _WORST if name in columns and table[name].nunique() > 1][:1]:
-        rows = pd.read_csv(done.csv, usecols=["frame", name]).nlargest(3, name)
+        rows = pd.read_csv(result.csv, usecols=["frame", name]).nlargest(3, name)
         frames = ", ".join(f"{row['frame']:.0f} ({row[name]:.4g})" for row in rows.to_dict("records"))
         highest.append(f"highest {heading(name).replace(', ', ' ')}: frames {frames}")
     return "; ".join([*sums, f"medians: {', '.join(medians)}", *highest])

@@ -106,7 +106,7 @@ def build(
     if as_json:
         facts = {"n_residues": structure.n_residues, "n_atoms": structure.n_atoms}
         return options.print_json({"output": str(output), **facts})
-    with options.beside_structure(output):
+    with options.redirect_messages(output):
         where = "standard output" if str(output) == options.STANDARD_OUTPUT else output
         size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
         print(f"written: {where} ({size})")

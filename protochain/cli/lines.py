@@ -111,5 +111,5 @@ def table_of_two(rows: Sequence[tuple[str, str, str]]) -> None:
     """Print names with their values before and after."""
     names, *values = (max(map(len, column), default=0) for column in zip(*rows, strict=True))
     before, after = (max(12, wide) for wide in values)
-    for what, first, last in [("", "before", "after"), *rows]:
-        tell(Kind.RESULT, f"{what:{names}} {first:>{before}} {last:>{after}}")
+    for label, first, last in [("", "before", "after"), *rows]:
+        tell(Kind.RESULT, f"{label:{names}} {first:>{before}} {last:>{after}}")

@@ -72,9 +72,9 @@ def minimise(
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
     if starting.n_starts > 1:
-        why = "belongs to one run, and there are several starts"
-        options.refuse(context, "checkpoint resume trajectory", why)
-    beside = {"report": report, "ligands": ligand_out, "trace": trace}
+        reason = "belongs to one run, and there are several starts"
+        options.refuse(context, "checkpoint resume trajectory", reason)
+    extras = {"report": report, "ligands": ligand_out, "trace": trace}
     stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     options.check_names(output, report, ligand_out, as_json)
@@ -85,7 +85,7 @@ def minimise(
         options.refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
     frames = [trajectory, part_of(trajectory)] if trajectory else []
-    outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *beside.values()]
+    outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *extras.values()]
     options.check_outputs([source, saving.resume], outputs, setup, force)
     context.with_resource(claimed_files(*frames))
 
@@ -102,11 +102,11 @@ def minimise(
         for run_setup, path in runs:
             with measure_run(from_start=not records):
                 records.append(
-                    _solve_and_write(context, source, run_setup, path, chosen, solve, lengths, write, beside)
+                    _solve_and_write(context, source, run_setup, path, chosen, solve, lengths, write, extras)
                 )
             if records[-1]["status"] == "interrupted":
                 break
-    with options.beside_structure(output):
+    with options.redirect_messages(output):
         _print(records, as_json, isinstance(setup.model, str))
         if timings and not as_json:
             terminal.print_timings(records[0])
@@ -116,8 +116,8 @@ def minimise(
 def _status(records: list[dict[str, Any]]) -> int:
     """Exit status of all runs."""
     lost = any("not_written" in record for record in records)
-    done = options.exit_status(record["status"] for record in records)
-    return options.UNCONVERGED if done == options.CONVERGED and lost else done
+    status = options.exit_status(record["status"] for record in records)
+    return options.UNCONVERGED if status == options.CONVERGED and lost else status
 
 
 def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:
@@ -152,11 +152,11 @@ class _Writer:
 
     def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.done: list[Solution] = []
+        self.solutions: list[Solution] = []
 
     def __call__(self, solution: "Solution", path: Path) -> None:
         """Write the structure of a solution, or keep it for the end."""
-        self.done.append(solution)
+        self.solutions.append(solution)
         if not self.one_file:
             options.write_models([solution.structure], path, self.suffix, solution.provenance())
 
@@ -165,10 +165,10 @@ class _Writer:
 
     def __exit__(self, *_: object) -> None:
         """Write all that is done, even if a later model failed."""
-        if self.one_file and self.done:
-            models = [solution.structure for solution in self.done]
+        if self.one_file and self.solutions:
+            models = [solution.structure for solution in self.solutions]
             noted = (
-                f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance()
+                f"MODEL {s.structure.model_number}: {line}" for s in self.solutions for line in s.provenance()
             )
             options.write_models(models, self.output, self.suffix, noted)
 
@@ -182,11 +182,11 @@ def _solve_and_write(
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
     write: _Writer,
-    beside: dict[str, Path | None],
+    extras: dict[str, Path | None],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
     chain, energy, preparation = options.prepare(source, setup)
-    options.check_structure(chain.structure, output, beside["ligands"])
+    options.check_structure(chain.structure, output, extras["ligands"])
     troubled = terminal.print_outlook(source, chain.structure, method)
     typical, longest = lengths
     times = terminal.TROUBLED if troubled else 1
@@ -196,7 +196,7 @@ def _solve_and_write(
     model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
     finish = partial(write, solution, output)
-    return options.written(solution, record | model | origin, finish, setup, _write_page, **beside)
+    return options.write_outputs(solution, record | model | origin, finish, setup, _write_page, **extras)
 
 
 def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> None:
@@ -221,7 +221,7 @@ def _once(
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)
-        frames.wanted = solution.is_usable
+        frames.is_complete = solution.is_usable
     return solution, {"not_written": lost} if lost else {}
 
 
@@ -241,7 +241,7 @@ def _warnings(lost: list[str]) -> Iterator[None]:
 class _Frames:
     """Trajectory, if there is one; a full disk, told in ``lost``, ends it: its space may save the result."""
 
-    wanted = False
+    is_complete = False
     """Whether the run has a result, beside which the trajectory belongs."""
 
     def __init__(self, path: Path | None, structure: "Structure", lost: list[str]) -> None:
@@ -265,7 +265,7 @@ class _Frames:
         if self.file is None:
             return
         try:
-            if self.wanted and not self.lost:
+            if self.is_complete and not self.lost:
                 self.file.finish()
         except WriteError as error:
             self.lost.append(str(error))

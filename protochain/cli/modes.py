@@ -8,7 +8,7 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import options
-from protochain.cli.first import METHOD, foretell_both, minimised_first
+from protochain.cli.first import METHOD, announce_duration, minimise_first
 from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
@@ -70,30 +70,30 @@ def modes(
     check_trajectory(output / f"mode-1.{trajectory}")
     options.check_outputs([source, to], files_of(output, modes, suffix, trajectory), setup)
     context.with_resource(claim_folder(output, "analysis of modes"))
-    other = measurable(to) if to else None
+    target = measurable(to) if to else None
     chain, energy, preparation = options.prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
-    foretell_both(source, chain, energy, evaluations, int(relax))
+    announce_duration(source, chain, energy, evaluations, int(relax))
     with held_interrupts():
-        q, first = _relaxed(source, chain, energy) if relax else (chain.q0, "not minimised first")
+        q, first = _minimise(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():
-            found = normal_modes(chain, energy, q, modes, method=method)
+            analysis = normal_modes(chain, energy, q, modes, method=method)
     noted = {
         "input": str(source), "output": str(output), "first": first, "seconds_preparation": preparation,
     }  # fmt: skip
     record = write_modes(
-        found, output, noted, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
-        model=other,
+        analysis, output, noted, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
+        model=target,
     )  # fmt: skip
     if as_json:
         options.print_json(record)
     else:
-        _print(found, record)
-    raise typer.Exit(options.CONVERGED if found.is_minimum else options.UNCONVERGED)
+        _print(analysis, record)
+    raise typer.Exit(options.CONVERGED if analysis.is_minimum else options.UNCONVERGED)
 
 
-def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
+def _minimise(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
     """Coordinates of a minimum, by turning hinges where torques are left, and what was done."""
     from protochain.comparison.hessian import torques_at
     from protochain.comparison.modes import FLAT
@@ -101,19 +101,19 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", 
     if torques_at(chain, energy, None).largest <= FLAT:
         return chain.q0, "a minimum as it is: not minimised first"
     print_outlook(source, chain.structure, METHOD)
-    relaxed, stated = minimised_first(chain, energy, _RELAXED)
+    relaxed, stated = minimise_first(chain, energy, _RELAXED)
     if not relaxed.is_usable:
         raise ProtochainError(f"{source}: {relaxed.message}")
     print(stated, file=sys.stderr)
     return relaxed.q, stated
 
 
-def _print(found: "NormalModes", record: dict[str, Any]) -> None:
+def _print(analysis: "NormalModes", record: dict[str, Any]) -> None:
     """Print the lowest frequencies, and what follows from the modes."""
     print(f"{record['structure']}: {record['message']}")
-    shown = ", ".join(f"{each:.2f}" for each in found.frequencies[:_SHOWN])
-    more = " ..." if found.n_modes > _SHOWN else ""
-    print(f"frequencies of {found.n_modes} modes: {shown}{more} 1/cm")
+    shown = ", ".join(f"{frequency:.2f}" for frequency in analysis.frequencies[:_SHOWN])
+    ellipsis = " ..." if analysis.n_modes > _SHOWN else ""
+    print(f"frequencies of {analysis.n_modes} modes: {shown}{ellipsis} 1/cm")
     if record["b_factor_correlation"] is not None:
         print(f"correlation of B factors with those of the file: {record['b_factor_correlation']:.2f}")
     if "cumulative_overlap" in record:

@@ -34,12 +34,12 @@ _TEXT = (
     "Red is less stable, blue more."
 )
 _WITHOUT = "hinges root move rigid_protein terms rebuild_side_chains sequence"
-_OWN = "preset tolerance interface"
-_OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _OWN.split())
+_SHARED = "preset tolerance interface"
+_OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _SHARED.split())
 
 
 @with_detail
-@options.with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_OWN.replace(' interface', '')}")
+@options.with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_SHARED.replace(' interface', '')}")
 def mutate(
     context: typer.Context,
     source: options.Input,
@@ -101,16 +101,16 @@ def mutate(
     if as_json:
         options.print_json(mutation.record() | origin)
     else:
-        with options.beside_structure(output):
+        with options.redirect_messages(output):
             _print(mutation)
             options.print_files(output)
     raise typer.Exit(options.exit_status([str(mutation.mutant.status)]))
 
 
-def _print(done: "Mutation") -> None:
+def _print(mutation: "Mutation") -> None:
     """Print the energies of a mutant, and what they mean."""
-    ddg, bound = done.ddg, done.interface_change
-    parts = f"{done.change:.1f} kJ/mol, in GGXGG {'-' if done.unfolded is None else f'{done.unfolded:.1f}'}"
+    ddg, bound, unfolded = mutation.ddg, mutation.interface_change, mutation.unfolded
+    parts = f"{mutation.change:.1f} kJ/mol, in GGXGG {'-' if unfolded is None else f'{unfolded:.1f}'}"
     tell(
         Kind.VERDICT,
         f"change of stability (ddg): {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
@@ -118,8 +118,8 @@ def _print(done: "Mutation") -> None:
     )
     tell(
         Kind.RESULT,
-        f"wild type: {done.wild.message}",
-        f"mutant: {done.mutant.message}",
+        f"wild type: {mutation.wild.message}",
+        f"mutant: {mutation.mutant.message}",
         _MEANING,
     )
 

@@ -74,77 +74,78 @@ def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..
     # An option of two classes is given to both; one that the command has itself is its own.
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         parameters = inspect.signature(command).parameters.values()
-        own = [each for each in parameters if each.kind is not each.KEYWORD_ONLY]
-        kinds = {each.name: each.annotation for each in parameters if each.kind is each.KEYWORD_ONLY}
+        plain = [p for p in parameters if p.kind is not p.KEYWORD_ONLY]
+        kinds = {p.name: p.annotation for p in parameters if p.kind is p.KEYWORD_ONLY}
         options: dict[str, inspect.Parameter] = {}
-        for parameter, kind in kinds.items():
-            left_out = {*without.get(parameter, "").split(), *(each.name for each in own)}
-            for each in fields(kind):
-                for option in _options(each):
-                    if each.name not in left_out:
+        for name, kind in kinds.items():
+            excluded = {*without.get(name, "").split(), *(parameter.name for parameter in plain)}
+            for field in fields(kind):
+                for option in _options(field):
+                    if field.name not in excluded:
                         options.setdefault(option.name, option)
 
         @wraps(command)
-        def run(**given: Any) -> None:
-            chosen = {name: given.pop(name) for name in options}
-            command(**given, **{name: _made(kind, chosen) for name, kind in kinds.items()})
+        def run(**arguments: Any) -> None:
+            chosen = {name: arguments.pop(name) for name in options}
+            command(**arguments, **{name: _build_settings(kind, chosen) for name, kind in kinds.items()})
 
-        run.__signature__ = inspect.Signature([*own, *options.values()])  # type: ignore[attr-defined]  # known at run time only
+        run.__signature__ = inspect.Signature([*plain, *options.values()])  # type: ignore[attr-defined]  # known at run time only
         return run
 
     return decorate
 
 
-def _options(of: Field[Any]) -> Iterator[inspect.Parameter]:
+def _options(field: Field[Any]) -> Iterator[inspect.Parameter]:
     """Options of a field of settings."""
-    its: Setting | None = of.metadata.get("setting")
-    if its is None or not its.help:
+    setting: Setting | None = field.metadata.get("setting")
+    if setting is None or not setting.help:
         return
     # Other defaults are told in the help.
-    is_plain = type(of.default) in (bool, int, float, str) and of.default != math.inf and not its.read
-    usual = (not its.turns_off and of.default) if is_plain else None
-    yield _option(of.name, its.kind if is_plain else its.kind | None, usual, its.names(of.name), its)
-    if its.word:
-        name, noted, _ = its.word
-        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(its.check, noted))
+    plain = type(field.default) in (bool, int, float, str) and field.default != math.inf and not setting.read
+    usual = (not setting.turns_off and field.default) if plain else None
+    kind = setting.kind if plain else setting.kind | None
+    yield _option(field.name, kind, usual, setting.names(field.name), setting)
+    if setting.word:
+        name, noted, _ = setting.word
+        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(setting.check, noted))
 
 
-def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) -> inspect.Parameter:
-    declared = typer.Option(*names, help=its.help, metavar=its.metavar)
+def _option(name: str, kind: Any, usual: Any, names: list[str], setting: Setting) -> inspect.Parameter:
+    declared = typer.Option(*names, help=setting.help, metavar=setting.metavar)
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=usual, annotation=Annotated[kind, declared]
     )
 
 
-def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
+def _build_settings(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
     """Settings made of options; those that are not given keep their defaults. None without what they need."""
-    given = {}
-    for name, its in settings_of(kind):
+    arguments = {}
+    for name, setting in settings_of(kind):
         value: Any = options.get(name)
-        if its.turns_off and name in options:
+        if setting.turns_off and name in options:
             value = not value
-        if its.word and options.get(its.word[0]):
-            value = [its.word[2], *(value or ())]
+        if setting.word and options.get(setting.word[0]):
+            value = [setting.word[2], *(value or ())]
         if value not in (None, []):
-            given[name] = its.read(value) if its.read else value
-    usual = {each.name: each.default for each in fields(kind)}  # type: ignore[arg-type]  # a dataclass
-    known = dict(settings_of(kind))
-    needed = [name for name in known if usual[name] is MISSING and name not in given]
+            arguments[name] = setting.read(value) if setting.read else value
+    usual = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]  # a dataclass
+    setting_of = dict(settings_of(kind))
+    needed = [name for name in setting_of if usual[name] is MISSING and name not in arguments]
     if not needed:
-        return kind(**given)
-    for name, value in given.items():
+        return kind(**arguments)
+    for name, value in arguments.items():
         if value != usual[name]:
-            of, what = (known[each].names(each)[0] for each in (name, needed[0]))
-            raise ProtochainError(f"{of}: needs {what}; give it too, or leave this out")
+            option, requirement = (setting_of[key].names(key)[0] for key in (name, needed[0]))
+            raise ProtochainError(f"{option}: needs {requirement}; give it too, or leave this out")
     return None
 
 
-def refuse(context: typer.Context, names: str, *why: object) -> None:
+def refuse(context: typer.Context, names: str, *reason: object) -> None:
     """Refuse the first of some options that was given on the command line: nothing would come of it."""
     for name in names.split():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise ProtochainError(Argument(name), ": ", *why, "; leave it out")
+            raise ProtochainError(Argument(name), ": ", *reason, "; leave it out")
 
 
 def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bool = False) -> int:
@@ -161,11 +162,11 @@ def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bo
     return CONVERGED if {*count} <= {"converged", "measured"} else UNCONVERGED
 
 
-def batch_status(done: "Batch") -> int:
+def batch_status(result: "Batch") -> int:
     """Exit status of a batch."""
-    table = done.table
+    table = result.table
     usable = bool(table["output"].notna().any())
-    return exit_status(table["status"], usable=usable, interrupted=done.interrupted)
+    return exit_status(table["status"], usable=usable, interrupted=result.interrupted)
 
 
 def end_folder(
@@ -212,16 +213,16 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
-    found = overlaps(structure, structure.positions, chain)
-    shown = found[:_SHOWN_OVERLAPS] if is_verbose() else found
+    overlapping = overlaps(structure, structure.positions, chain)
+    shown = overlapping[:_SHOWN_OVERLAPS] if is_verbose() else overlapping
     warnings = [f"{overlap}; {overlap.remedy}" for overlap in shown]
-    if len(found) > len(shown):
-        warnings.append(f"and {counted(len(found) - len(shown), 'more overlap')}")
-    print_changes(source, structure, said_of_move(structure, setup.move, chain), warnings)
+    if len(overlapping) > len(shown):
+        warnings.append(f"and {counted(len(overlapping) - len(shown), 'more overlap')}")
+    print_changes(source, structure, describe_move(structure, setup.move, chain), warnings)
     return chain, energy, perf_counter() - began
 
 
-def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
+def describe_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
     """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
     from protochain.chains.articulate import turned_atoms
     from protochain.structure.select import moving_mask
@@ -229,15 +230,15 @@ def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None
     if move == defaults.MOVE:
         return []
     free = moving_mask(structure, move)
-    rest = f"the other {_counted(structure, ~free)} are fixed"
+    others_fixed = f"the other {_count_atoms(structure, ~free)} are fixed"
     if chain is None:
-        return [f"{_counted(structure, free)} move, {rest}"]
+        return [f"{_count_atoms(structure, free)} move, {others_fixed}"]
     hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
-    turned = f"{hinges}, which moves {_counted(structure, turned_atoms(chain))}"
-    return [f"{turned}; where all atoms move, {_counted(structure, free)} do, and {rest}"]
+    turned = f"{hinges}, which moves {_count_atoms(structure, turned_atoms(chain))}"
+    return [f"{turned}; where all atoms move, {_count_atoms(structure, free)} do, and {others_fixed}"]
 
 
-def _counted(structure: "Structure", atoms: Any) -> str:
+def _count_atoms(structure: "Structure", atoms: Any) -> str:
     residues = len({*structure.atom_residue[atoms].tolist()})
     return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
 
@@ -288,13 +289,13 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
 
 
 RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
-    name: its.column(name)
+    name: setting.column(name)
     for kind in (
         *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),
         *(SearchSettings, SearchRunSettings),
     )
-    for name, its in settings_of(kind)
-    if its.option
+    for name, setting in settings_of(kind)
+    if setting.option
 }
 """Options with other names than the arguments of the library."""
 
@@ -318,26 +319,26 @@ def has_poses(setup: Setup) -> bool:
 
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
     """Name, path and setup of each structure."""
-    given = [each for each in inputs if each != "-"]
+    names = [name for name in inputs if name != "-"]
     poses = has_poses(setup)
-    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str) and not poses:
-        found = [(each, Path(each), setup) for each in given]
+    if all(Path(name).is_file() for name in names) and not isinstance(setup.model, str) and not poses:
+        rows = [(name, Path(name), setup) for name in names]
     else:
         # Only here, as it takes a second to load.
         from protochain.batches.jobs import BatchSettings, find_jobs
 
-        jobs = find_jobs(given, BatchSettings(setup=setup))
+        jobs = find_jobs(names, BatchSettings(setup=setup))
         paths = [_name(job.path) for job in jobs]
-        found = [
+        rows = [
             (job.name if poses else path, Path(path), job.settings.setup)
             for job, path in zip(jobs, paths, strict=True)
         ]
-    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
+    return rows + [("standard input", Path("-"), setup)] * (len(names) < len(inputs))
 
 
-def is_one_file(given: str) -> bool:
+def is_one_file(source: str) -> bool:
     """Whether an input is a file, or could be one that is not there: no folder and no pattern."""
-    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
+    return source == "-" or Path(source).is_file() or not (Path(source).is_dir() or set("*?[") & set(source))
 
 
 def _name(path: Path) -> str:
@@ -356,20 +357,20 @@ def check_outputs(
     from protochain.core.storage import check_writable
     from protochain.structure.preparation.prepare import user_files
 
-    inputs = [*(Path(each) for each in reads if each), *(user_files(setup.forcefield) if setup else ())]
+    inputs = [*(Path(path) for path in reads if path), *(user_files(setup.forcefield) if setup else ())]
     outputs = [Path(path) for path in writes if path and str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")
     for output in outputs:
-        same = output.exists() and any(each.exists() and output.samefile(each) for each in inputs)
+        same = output.exists() and any(path.exists() and output.samefile(path) for path in inputs)
         if same and not force:
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
-    if there := [str(output) for output in outputs if replaces and output.is_file()]:
-        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        tell(Kind.CHANGE, f"{there[0]}{more}: there already, will be replaced")
+    if existing := [str(output) for output in outputs if replaces and output.is_file()]:
+        further = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
+        tell(Kind.CHANGE, f"{existing[0]}{further}: there already, will be replaced")
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
@@ -416,9 +417,9 @@ def check_structure(structure: "Structure", output: Path, ligands: Path | None) 
 
 
 @part("writing")
-def written(
+def write_outputs(
     result: Any,
-    more: Mapping[str, Any],
+    entries: Mapping[str, Any],
     write: Callable[[], object],
     setup: Setup,
     write_report: Callable[[Any, dict[str, Any], Path], object],
@@ -431,11 +432,11 @@ def written(
     from protochain.structure.formats.confidences import copy_confidences
 
     if not result.is_usable:
-        why = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"
-        raise SystemExit(fail(why))
+        reason = f"{entries['input']}: {result.message}; nothing is better than the start: nothing is written"
+        raise SystemExit(fail(reason))
     write()
     with part("measuring"):
-        record = {**result.record(), **more}
+        record = {**result.record(), **entries}
     try:
         if trace:
             write_atomically(trace, partial(result.trace.to_csv, index=False))
@@ -456,6 +457,6 @@ def written(
     return record
 
 
-def beside_structure(output: Path) -> AbstractContextManager[Any]:
+def redirect_messages(output: Path) -> AbstractContextManager[Any]:
     """Where a command prints, while a structure may be on standard output."""
     return redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext()

@@ -80,14 +80,15 @@ def relax(
     """
     setup = relaxing.setup(setup)
     several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
-    if of_frames.are_asked(trajectory, frames):
+    if of_frames.are_requested(trajectory, frames):
         if several:
             exclusive = Argument("manifest"), ", ", Argument("model"), " all or poses"
             options.refuse(context, "trajectory frames", "is of one structure, not of ", *exclusive)
-        output = _output_of_frames(trajectory or of_frames.only(inputs or [])) if output is None else output
-        of_frames.run_if_asked(
+        if output is None:
+            output = _output_of_frames(trajectory or of_frames.single_structure(inputs or []))
+        of_frames.run_if_requested(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
-            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters timings", output=output,
+            output.with_suffix(".csv"), excluded="scheduler ligand_out posebusters timings", output=output,
             report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
@@ -136,7 +137,7 @@ def _one(
     ligand_out: Path | None, timings: bool, as_json: bool, force: bool,
 ) -> int:  # fmt: skip
     """Relax one file; return the exit status."""
-    from protochain.cli.relaxing import print_relaxed, progress, tell_plan
+    from protochain.cli.relaxing import print_plan, print_relaxed, progress
     from protochain.cli.terminal import print_timings
     from protochain.core.interrupts import held_interrupts
     from protochain.core.timings import measure_run
@@ -157,7 +158,7 @@ def _one(
         options.check_structure(structure, output, ligand_out)
         energy = setup.energy(structure)
         preparation = perf_counter() - began
-        seconds = tell_plan(source, structure, energy, setup.move)
+        seconds = print_plan(source, structure, energy, setup.move)
         with held_interrupts():
             with progress(seconds) as watch:
                 result = relax_structure(structure, energy, relaxing, watch, setup.move)
@@ -167,11 +168,11 @@ def _one(
                 how = result.provenance(), relaxing.keep_hydrogens
                 options.write_models([result.structure], output, suffix_of(source), *how)
 
-            record = options.written(result, origin, write, setup, _write_page, report, ligand_out)
+            record = options.write_outputs(result, origin, write, setup, _write_page, report, ligand_out)
     if as_json:
         options.print_json(record)
     else:
-        with options.beside_structure(output):
+        with options.redirect_messages(output):
             print_relaxed(result, record)
             if timings:
                 print_timings(record)
@@ -184,7 +185,7 @@ def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> Non
     write_relaxed(result, record, path)
 
 
-def _tell_frames(inputs: list[str]) -> None:
+def _report_trajectories(inputs: list[str]) -> None:
     """Say which trajectories in folders are left aside, and what relaxes their frames."""
     from protochain.structure.formats.files import format_of
     from protochain.structure.formats.frames import trajectories
@@ -199,7 +200,7 @@ def _tell_frames(inputs: list[str]) -> None:
 
 def _several(
     inputs: list[str], output: Path | None, manifest: Path | None, relaxing: RelaxSettings, setup: Setup,
-    beside: list[Path], processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
+    extras: list[Path], processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
 ) -> None:  # fmt: skip
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.batch_structures import relax_files
@@ -214,21 +215,21 @@ def _several(
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or format_of(folder):
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
-    for path in beside:
+    for path in extras:
         check_ligand_file(path)
-    options.check_outputs([manifest], [*replaceable_files(folder, RELAXED, resume, force), *beside], setup)
-    _tell_frames(inputs)
+    options.check_outputs([manifest], [*replaceable_files(folder, RELAXED, resume, force), *extras], setup)
+    _report_trajectories(inputs)
     with batch_progress() as watch:
         result = relax_files(
             inputs, folder, relaxing, setup, manifest=manifest, resume=resume, force=force, watch=watch,
             **processes,
         )  # fmt: skip
-    for path in beside:
+    for path in extras:
         written = result.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
 
     def show() -> None:
         print_folder(result.table, folder)
-        options.print_files(*beside)
+        options.print_files(*extras)
 
     options.end_folder(folder, show, as_json, result.interrupted, options.batch_status(result))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain.cli.lines import Kind, energy_text, is_verbose, residues_shown, table_of_two, tell
-from protochain.cli.options import print_changes, print_files, print_lost, print_violations, said_of_move
+from protochain.cli.options import describe_move, print_changes, print_files, print_lost, print_violations
 from protochain.core import defaults
 from protochain.core.markup import counted, listed
 from protochain.core.timings import part
@@ -35,7 +35,7 @@ _SHOW_FROM = 5.0
 
 
 @part("measuring")
-def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
+def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.relaxation.problems import Problems
 
@@ -45,7 +45,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
     at = Problems(structure, x)
-    n, beside = len(at.overlaps), at.n_hetero_overlaps
+    n, n_hetero = len(at.overlaps), at.n_hetero_overlaps
     inverted = counted(len(at.inversions), "inverted stereocentre")
     as_d = structure.mirrored[structure.atom_residue[at.inversions]].all()
     advice = "" if as_d else " (name D-amino acids as DAL ...)"
@@ -54,9 +54,9 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     twisted = counted(len(at.peptides), "twisted peptide bond")
     duration = f"about {max(seconds, 1.0):.0f} s"
     stated = [
-        *said_of_move(structure, move),
+        *describe_move(structure, move),
         f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
-        + (f", {beside} of them with molecules kept with the protein" if beside else ""),
+        + (f", {n_hetero} of them with molecules kept with the protein" if n_hetero else ""),
         str(at.violations),
         *rings,
         *inverted_line,
@@ -64,7 +64,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         *_breaks(structure),
         duration,
     ]
-    short = [*said_of_move(structure, move), duration]
+    short = [*describe_move(structure, move), duration]
     warnings = [] if is_verbose() else [*rings, *(inverted_line if advice else ())]
     print_changes(source, structure, stated if is_verbose() else short, warnings)
     return seconds
@@ -72,11 +72,11 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
 
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
-    mine = np.unique(structure.atom_residue[~structure.kept])
-    _, first = np.unique(structure.residue_chain_index[mine], return_index=True)
-    n = len(first) - len({*structure.residue_chain[mine[first]].tolist()})
-    said = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
-    return [said] if n > 0 else []
+    protein_residues = np.unique(structure.atom_residue[~structure.kept])
+    _, first = np.unique(structure.residue_chain_index[protein_residues], return_index=True)
+    n = len(first) - len({*structure.residue_chain[protein_residues[first]].tolist()})
+    line = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
+    return [line] if n > 0 else []
 
 
 def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
@@ -122,23 +122,23 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         details.append(f"repacked first: {'; '.join(noted)}")
     if turned := (*result.stereocentres_corrected, *result.peptides_turned):
         details.append("; ".join(summarise(turned)))
-    _wrapped(Kind.RESULT, stated)
-    _wrapped(Kind.MORE, details)
-    _wrapped(Kind.VERDICT, [record["message"]])
-    _wrapped(Kind.RESULT, remains_in_words(record, residues_shown()))
+    _print_wrapped(Kind.RESULT, stated)
+    _print_wrapped(Kind.MORE, details)
+    _print_wrapped(Kind.VERDICT, [record["message"]])
+    _print_wrapped(Kind.RESULT, remains_in_words(record, residues_shown()))
     print_violations(record)
     print_lost([record])
     tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")
     print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
 
 
-def _wrapped(kind: Kind, lines: list[str]) -> None:
+def _print_wrapped(kind: Kind, lines: list[str]) -> None:
     tell(kind, *(row for line in lines for row in textwrap.wrap(line, _WIDTH)))
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:
     """Print how many ended how, what is left to mend, and where all is."""
-    from protochain.cli.terminal import ligands_moved, mended
+    from protochain.cli.terminal import count_violations, ligands_moved
 
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
@@ -146,7 +146,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
     if len(usable):
         tell(
             Kind.RESULT,
-            f"{mended(usable)}; medians: C-alpha RMSD "
+            f"{count_violations(usable)}; medians: C-alpha RMSD "
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
             f"{ligands_moved(usable)}",
         )
@@ -156,9 +156,9 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             f"{row.structure} ({row.overlaps_beside_start:.0f} pairs, {row.overlaps_beside_end:.0f} left)"
             for row in near.head(_SHOWN).itertuples()
         ]
-        more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
-        what = "structures overlapped with molecules kept with the protein"
-        tell(Kind.RESULT, f"{len(near)} of {len(table)} {what}: {', '.join(noted)}{more}")
+        ending = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
+        text = "structures overlapped with molecules kept with the protein"
+        tell(Kind.RESULT, f"{len(near)} of {len(table)} {text}: {', '.join(noted)}{ending}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
         tell(Kind.RESULT, f"{row.structure}: {row.message}")

@@ -10,7 +10,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, check_outputs
-from protochain.cli.rows import Rows, conclude, print_rows, refused
+from protochain.cli.rows import Rows, conclude, print_rows, refusal_row
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
@@ -51,7 +51,7 @@ def rmsd(
 
         return RmsdFrames(measurable(reference), align, measure)
 
-    of_frames.run_if_asked(
+    of_frames.run_if_requested(
         context, models, trajectory, frames, Setup(), task, output,
         workers=workers, resume=resume, as_json=as_json, reads=[reference],
     )  # fmt: skip
@@ -61,7 +61,7 @@ def rmsd(
     rows = json.loads(table.to_json(orient="records", double_precision=15))
     for row in rows:
         if row["message"]:
-            refused(row["message"])
+            refusal_row(row["message"])
     tables = {output: lambda: table}
     conclude(rows, tables, print_deviations, as_json, reference=str(reference), align=align, measure=measure)
 

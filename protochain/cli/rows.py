@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Rows = list[dict[str, Any]]
 
 
-def refused(error: object, **row: Any) -> dict[str, Any]:
+def refusal_row(error: object, **row: Any) -> dict[str, Any]:
     """Report on standard error why a structure has no result; return its row."""
     print(" ".join(str(error).split()), file=sys.stderr)
     return {**row, "message": str(error)}
@@ -57,7 +57,7 @@ def table_of(rows: Rows, without: Iterable[str] = ()) -> "DataFrame":
     return pd.DataFrame(rows).drop(columns=[*without], errors="ignore").convert_dtypes()
 
 
-def joined(tables: "Sequence[DataFrame]") -> "DataFrame":
+def concatenate(tables: "Sequence[DataFrame]") -> "DataFrame":
     """Tables below one another; none of none."""
     import pandas as pd
 

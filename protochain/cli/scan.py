@@ -60,9 +60,9 @@ def scan(
         options.print_files(*files)
 
 
-def _read(given: str) -> tuple[str, list[float]]:
+def _read(axis_text: str) -> tuple[str, list[float]]:
     """Name and values of ``phi A:3=-180:180:10``, the last included, or ``phi A:3=-60,60``."""
-    name, sign, values = given.rpartition("=")
+    name, sign, values = axis_text.rpartition("=")
     parts = re.split(r"[:,]", values)
     try:
         numbers = [float(part) for part in parts]
@@ -76,7 +76,7 @@ def _read(given: str) -> tuple[str, list[float]]:
         numbers = []
     if not sign or not numbers:
         how = "give a hinge and its values, as 'phi A:3=-180:180:10' or 'phi A:3=-60,60'"
-        raise ProtochainError(f"{given!r}: {how}")
+        raise ProtochainError(f"{axis_text!r}: {how}")
     return name.strip(), numbers
 
 

@@ -55,4 +55,4 @@ def digest(command: str) -> str:
 def versions() -> dict[str, tuple[int, str]]:
     """Latest version of each command's results, and the digest of its schema."""
     lines = (files("protochain.cli") / _VERSIONS).read_text(encoding="utf-8").splitlines()
-    return {command: (int(version), its) for command, version, its in map(str.split, lines)}
+    return {command: (int(version), checksum) for command, version, checksum in map(str.split, lines)}

@@ -11,7 +11,7 @@ from protochain.cli import frames as of_frames
 from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory
 from protochain.cli.lines import Kind, tell, warn, with_detail
-from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
+from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
@@ -78,7 +78,7 @@ def score(
     from protochain.structure.matching import measurable
     from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
-    known = {**SCORES, **MAKEUP, **CONFIDENCES}
+    columns = {**SCORES, **MAKEUP, **CONFIDENCES}
     reads = [reference] if reference else []
 
     def task() -> "Task":
@@ -89,12 +89,12 @@ def score(
         origin = measurable(reference) if reference else None
         return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
 
-    of_frames.run_if_asked(
-        context, inputs, trajectory, frames, setup, task, csv, refused="rank residues report",
+    of_frames.run_if_requested(
+        context, inputs, trajectory, frames, setup, task, csv, excluded="rank residues report",
         alone="resume", workers=workers, resume=resume, as_json=as_json, reads=reads,
     )  # fmt: skip
     if rank is not None:
-        refuse_unknown(rank, "rank", known)
+        refuse_unknown(rank, "rank", columns)
     options.check_page(report)
     files = options.files_of(inputs, setup)
     options.check_outputs([*reads, *(path for _, path, _ in files)], [csv, residues, report], setup)
@@ -107,30 +107,30 @@ def score(
         from protochain.batches.scoring import ScoreJob, score_files
 
         origin = measurable(reference) if reference else None
-        jobs = [ScoreJob(*each, (*(interface or ()),), relax, origin) for each in files]
+        jobs = [ScoreJob(*entry, (*(interface or ()),), relax, origin) for entry in files]
         results = score_files(jobs, processes)
-    found: list[tuple[dict[str, Any], Interface | None]] = [
-        (refused(result, file=name), None)
+    pairs: list[tuple[dict[str, Any], Interface | None]] = [
+        (refusal_row(result, file=name), None)
         if isinstance(result, str)
         else ({"file": name, **result.record(), "message": ""}, result)
         for name, result in results
     ]
     if rank:
-        found.sort(key=lambda each: _place(each[0].get(rank), known[rank].better))
-    rows, good = [row for row, _ in found], [(row, its) for row, its in found if its]
+        pairs.sort(key=lambda entry: _place(entry[0].get(rank), columns[rank].better))
+    rows, usable = [row for row, _ in pairs], [(row, scores) for row, scores in pairs if scores]
     crowded: list[str] = []
-    for structure in {id(its.structure): its.structure for _, its in good}.values():
+    for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
-            what = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
-            crowded.append(f"{structure.name}: {what}; relax first, with --relax")
+            problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
+            crowded.append(f"{structure.name}: {problem}; relax first, with --relax")
     warn(crowded)
-    of_residues = [its.residues.assign(file=row["file"], interface=its.name) for row, its in good]
+    of_residues = [scores.residues.assign(file=row["file"], interface=scores.name) for row, scores in usable]
     if report:
         from protochain.comparison.scored import write_scored
 
-        write_scored([its for _, its in good], [row for row, _ in good], report, setup, rank or "")
+        write_scored([scores for _, scores in usable], [row for row, _ in usable], report, setup, rank or "")
     conclude(
-        rows, {csv: lambda: table_of(rows), residues: lambda: joined(of_residues)}, _print, as_json,
+        rows, {csv: lambda: table_of(rows), residues: lambda: concatenate(of_residues)}, _print, as_json,
         [report] if report else [], not crowded, interface=interface, rank=rank, solvent=setup.solvent,
         forcefield=setup.forcefield,
     )  # fmt: skip

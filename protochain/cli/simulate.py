@@ -8,7 +8,7 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import options
-from protochain.cli.first import METHOD, foretell_both, minimised_first
+from protochain.cli.first import METHOD, announce_duration, minimise_first
 from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
@@ -68,38 +68,38 @@ def simulate(
     relax = relax and not running.resume
     troubled = relax and print_outlook(source, chain.structure, METHOD)
     times = (TROUBLED if troubled else 1) if relax else 0
-    foretell_both(source, chain, energy, running.n_steps, times)
+    announce_duration(source, chain, energy, running.n_steps, times)
     context.with_resource(held_interrupts())
-    q = _relaxed(source, chain, energy, simulation) if relax else chain.q0
+    q = _minimise(source, chain, energy, simulation) if relax else chain.q0
     with simulation_progress(source.stem, running.n_steps, simulation.time_step) as watch:
-        done = run(chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation))
-    beside = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+        result = run(chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation))
+    origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
     page = output / "report.html"
-    if done.is_sound and done.trajectory is not None and (done.n_steps or not page.exists()):
+    if result.is_sound and result.trajectory is not None and (result.n_steps or not page.exists()):
         from protochain.comparison.simulated import write_simulated
 
-        record = done.record()
-        write_simulated(chain.structure, done.trace, record, done.trajectory, page)
-    _end(done, beside, as_json)
+        record = result.record()
+        write_simulated(chain.structure, result.trace, record, result.trajectory, page)
+    _end(result, origin, as_json)
 
 
-def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
+def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
     """Print what a simulation came to, and exit."""
-    record = {**done.record(), **beside}
+    record = {**result.record(), **origin}
     if as_json:
         options.print_json(record)
-    elif done.is_sound:
+    elif result.is_sound:
         print_simulation(record)
-    if not done.is_sound:
-        where = f"the frames until then are in {beside['output']}/*.part.*"
-        raise SystemExit(options.fail(f"{beside['input']}: {done.message}; {where}"))
-    raise typer.Exit(options.CONVERGED if done.ending == "completed" else options.INTERRUPTED)
+    if not result.is_sound:
+        where = f"the frames until then are in {origin['output']}/*.part.*"
+        raise SystemExit(options.fail(f"{origin['input']}: {result.message}; {where}"))
+    raise typer.Exit(options.CONVERGED if result.ending == "completed" else options.INTERRUPTED)
 
 
-def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
+def _minimise(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
-    relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
+    relaxed, stated = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
-    kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
-    tell(Kind.PROGRESS, f"{stated}{kept}")
+    note = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
+    tell(Kind.PROGRESS, f"{stated}{note}")
     return relaxed.q

@@ -47,10 +47,10 @@ _LONG = 30.0
 class _Progress:
     """A bar on a terminal; elsewhere a line a minute. Runs take ``typical`` steps, ``most`` at most."""
 
-    def __init__(self, name: str, typical: int, most: int) -> None:
+    def __init__(self, name: str, typical: int, longest: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self.name, self.typical, self.most = printable(name), typical, most
+        self.name, self.typical, self.longest = printable(name), typical, longest
         self.console = printer(stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(16), TextColumn("{task.fields[now]}"),
@@ -61,21 +61,21 @@ class _Progress:
         )
         self.task = self.bar.add_task(self.name, total=typical, now="", left="")
         self.stage = self.now = ""
-        self.done, self.first = 0.0, 0.0
-        self.began = self.told = monotonic()
+        self.n_done, self.first = 0.0, 0.0
+        self.began = self.printed_at = monotonic()
 
-    def show(self, done: float, now: str | None = None) -> None:
+    def show(self, n_done: float, now: str | None = None) -> None:
         """Show how many steps or evaluations are done, and what is so far."""
-        if done < self.done or not self.first:
+        if n_done < self.n_done or not self.first:
             # The next of many starts, or a resumed run.
-            self.began, self.first = monotonic(), done
-        self.done, self.now = done, self.now if now is None else now
+            self.began, self.first = monotonic(), n_done
+        self.n_done, self.now = n_done, self.now if now is None else now
         name = f"{self.name}: {self.stage}" if self.stage else self.name
         left = self._left()
-        total = self.typical if done < self.typical else self.most
-        self.bar.update(self.task, description=name, total=total, completed=done, now=self.now, left=left)
-        if not self.console.is_terminal and monotonic() - self.told >= _LINE_EVERY:
-            self.told = monotonic()
+        total = self.typical if n_done < self.typical else self.longest
+        self.bar.update(self.task, description=name, total=total, completed=n_done, now=self.now, left=left)
+        if not self.console.is_terminal and monotonic() - self.printed_at >= _LINE_EVERY:
+            self.printed_at = monotonic()
             self.say(", ".join(part for part in (f"{name}: {self.now}", left) if part))
 
     def say(self, line: str) -> None:
@@ -85,17 +85,17 @@ class _Progress:
 
     def _left(self) -> str:
         passed = monotonic() - self.began
-        if self.done <= self.first or not passed:
+        if self.n_done <= self.first or not passed:
             return ""
-        ends, word = (self.typical, "about") if self.done < self.typical else (self.most, "at most")
-        seconds = passed / (self.done - self.first) * (ends - self.done)
+        ends, word = (self.typical, "about") if self.n_done < self.typical else (self.longest, "at most")
+        seconds = passed / (self.n_done - self.first) * (ends - self.n_done)
         return f"{word} {_clock(seconds)} left"
 
 
 class _RunProgress(_Progress):
     """Watcher of a minimisation: its stage, energy, torque and evaluations."""
 
-    each: "Callable[[Any], None] | None" = None
+    use_positions: "Callable[[Any], None] | None" = None
     writes = True
     """Whether the result will be written."""
     counts = True
@@ -104,7 +104,7 @@ class _RunProgress(_Progress):
     @property
     def wants_positions(self) -> bool:
         """Whether the positions it is called with are used."""
-        return self.each is not None
+        return self.use_positions is not None
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Show the stage of the run."""
@@ -128,21 +128,21 @@ class _RunProgress(_Progress):
         now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
         self.counts = False
         self.show(row["evaluations"], now)
-        if self.each:
-            self.each(x)
+        if self.use_positions:
+            self.use_positions(x)
 
 
 @contextmanager
 def run_progress(
     method: "str | Recipe",
     max_evaluations: int,
-    each: "Callable[[Any], None] | None" = None,
+    use_positions: "Callable[[Any], None] | None" = None,
     writes: bool = True,
 ) -> Iterator["Watcher"]:
-    """Show how far a run is; ``each`` gets all positions, ``writes`` says whether its result is written."""
+    """Show the progress of a run. ``use_positions`` receives all positions. ``writes`` affects messages."""
     name = method if isinstance(method, str) else method.name
     progress = _RunProgress(name, typical_evaluations(method, max_evaluations), max_evaluations)
-    progress.each, progress.writes = each, writes
+    progress.use_positions, progress.writes = use_positions, writes
     with progress.bar:
         yield progress
 
@@ -193,23 +193,23 @@ TROUBLED = 3
 """Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
 
 
-def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, most: int) -> None:
+def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, limit: int) -> None:
     """Say before a long run how long it will be."""
     x = chain.structure.positions
     # The first call loads kernels and makes neighbour lists. The quickest counts: others may wait for a core.
     energy(x)
-    each = math.inf
+    seconds = math.inf
     for _ in range(2):
         began = monotonic()
         energy(x)
-        each = min(each, monotonic() - began)
-        if each * evaluations < _LONG:
+        seconds = min(seconds, monotonic() - began)
+        if seconds * evaluations < _LONG:
             return
-    usual = f"typically {evaluations} of at most {most}" if evaluations < most else f"at most {most}"
+    usual = f"typically {evaluations} of at most {limit}" if evaluations < limit else f"at most {limit}"
     tell(
         Kind.PROGRESS,
-        f"{chain.n_atoms} atoms, {each:.2g} s an energy, {usual} evaluations: "
-        f"about {_clock(each * evaluations)}",
+        f"{chain.n_atoms} atoms, {seconds:.2g} s an energy, {usual} evaluations: "
+        f"about {_clock(seconds * evaluations)}",
     )
 
 
@@ -223,13 +223,13 @@ def _clock(seconds: float) -> str:
 @contextmanager
 def frames_progress(name: str, total: int) -> Iterator["Watch"]:
     """Show how many frames are done, and the time left; the first that cannot be used, by name."""
-    progress, told = _Progress(name, total, total), list[str]()
+    progress, lines = _Progress(name, total, total), list[str]()
 
-    def watch(done: int, failed: int, last: "FrameResult") -> None:
-        if last.structure is None and len(told) < _SHOWN_FAILURES:
-            told.append(str(last.record["message"]))
-            progress.say(told[-1] + ("; more are in the table" if len(told) == _SHOWN_FAILURES else ""))
-        progress.show(done, f"{done} of {total} frames, {failed} failed")
+    def watch(n_done: int, failed: int, last: "FrameResult") -> None:
+        if last.structure is None and len(lines) < _SHOWN_FAILURES:
+            lines.append(str(last.record["message"]))
+            progress.say(lines[-1] + ("; more are in the table" if len(lines) == _SHOWN_FAILURES else ""))
+        progress.show(n_done, f"{n_done} of {total} frames, {failed} failed")
 
     with progress.bar:
         yield watch
@@ -240,7 +240,7 @@ def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
     """Show how many of all are done, and the time left."""
     progress = _Progress(name, 100, 100)
     with progress.bar:
-        yield lambda done, total: progress.show(100.0 * done / total, f"{done} of {total}")
+        yield lambda n_done, total: progress.show(100.0 * n_done / total, f"{n_done} of {total}")
 
 
 @contextmanager
@@ -259,19 +259,19 @@ def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
         yield watch
 
 
-def print_search(done: "Search", output: object) -> None:
+def print_search(result: "Search", output: object) -> None:
     """Print the lowest minima of a search, and the populations of replicas."""
-    print(f"{done.chain.structure.name}: {done.energy:.2f} kJ/mol, the lowest of {len(done.q)} minima")
-    print(f"  {done.agreement}")
-    for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
+    print(f"{result.chain.structure.name}: {result.energy:.2f} kJ/mol, the lowest of {len(result.q)} minima")
+    print(f"  {result.agreement}")
+    for row in result.minima.head(_SHOWN_MINIMA).to_dict("records"):
         free = row["free_energy_kj_mol"]
-        rest = "" if math.isnan(free) else f", free energy {free:+.2f}"
-        named = f", {row['conformer']}" if row["conformer"] else ""
+        free_text = "" if math.isnan(free) else f", free energy {free:+.2f}"
+        conformer = f", {row['conformer']}" if row["conformer"] else ""
         print(
-            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{rest}{named}, "
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{free_text}{conformer}, "
             f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
         )
-    for row in done.populations.to_dict("records"):
+    for row in result.populations.to_dict("records"):
         energy = f"{row['energy_kj_mol']:.1f} +- {row['energy_error_kj_mol']:.1f} kJ/mol"
         share, error = 100.0 * row["helix_share"], 100.0 * row["helix_share_error"]
         folded = "" if math.isnan(share) else f", helix {share:.1f} +- {error:.1f} %"
@@ -313,14 +313,14 @@ def print_simulation(record: dict[str, Any]) -> None:
     """Print a short summary of a simulation."""
     drift = record["conserved_drift_kj_mol_ps_per_100_atoms"]
     drifts = "" if drift is None else f", conserved energy drifts {drift:.2g} kJ/mol/ps for 100 atoms"
-    kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
+    share = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
     speed = record["ns_per_day"]
-    done = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
-    tell(Kind.VERDICT, f"{record['structure']}: {record['message']}, {done}")
+    duration = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
+    tell(Kind.VERDICT, f"{record['structure']}: {record['message']}, {duration}")
     tell(
         Kind.RESULT,
-        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
-        f"{_pulled(record)}"
+        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{share}\n"
+        f"{_pull_line(record)}"
         f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"
         f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
         f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}",
@@ -330,7 +330,7 @@ def print_simulation(record: dict[str, Any]) -> None:
     tell(Kind.WRITTEN, f"written: {record['output']}")
 
 
-def _pulled(record: dict[str, Any]) -> str:
+def _pull_line(record: dict[str, Any]) -> str:
     """Line on what was pulled, if anything was."""
     if record.get("pull") is None:
         return ""
@@ -382,9 +382,9 @@ def _cell(column: "Column", value: Any) -> str:
 def print_timings(record: dict[str, Any]) -> None:
     """Print seconds by part and their sum, and what share of the loop is serial."""
     parts = {name: seconds for name, seconds in record["timings"].items() if name in PARTS}
-    whole = sum(parts.values())
-    for name, seconds in {**parts, "all": whole}.items():
-        print(f"{name:12}{seconds:9.3f} s{seconds / whole:6.0%}")
+    total = sum(parts.values())
+    for name, seconds in {**parts, "all": total}.items():
+        print(f"{name:12}{seconds:9.3f} s{seconds / total:6.0%}")
     if (serial := record["timings"]["serial_share_of_loop"]) is not None:
         print(f"{record['evaluations']} evaluations; {serial:.0%} of the loop is serial")
 
@@ -407,7 +407,7 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
-def mended(usable: "DataFrame") -> str:
+def count_violations(usable: "DataFrame") -> str:
     """Violations of relaxed structures before and after, in words."""
     before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
     return f"residues with violations {before} before, {after} after"
@@ -433,10 +433,10 @@ def print_batch(table: "DataFrame", report: str) -> None:
         counts = ", ".join(f"{n} {status}" for status, n in rows["status"].value_counts().items())
         usable = rows[rows["output"].notna()]
         rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
-        rest = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
-        rest = f"; {mended(usable)}{rest}" if rest and method == RELAX else rest
-        rest += ligands_moved(usable)
-        console.print(f"{method}: {counts}{rest}", markup=False, highlight=False)
+        ending = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
+        ending = f"; {count_violations(usable)}{ending}" if ending and method == RELAX else ending
+        ending += ligands_moved(usable)
+        console.print(f"{method}: {counts}{ending}", markup=False, highlight=False)
     unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
     failed = table[table["output"].isna() | unmended].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():

@@ -11,7 +11,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, Inputs, check_outputs, files_of, with_settings
-from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
+from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
 
@@ -71,8 +71,8 @@ def validate(
 
         return ValidateFrames(setup, measurable(reference) if reference else None)
 
-    of_frames.run_if_asked(
-        context, inputs, trajectory, frames, setup, task, csv, refused="residues changes posebusters",
+    of_frames.run_if_requested(
+        context, inputs, trajectory, frames, setup, task, csv, excluded="residues changes posebusters",
         alone="workers resume report", report=report, workers=workers, resume=resume, as_json=as_json,
         reads=[reference] if reference else [],
     )  # fmt: skip
@@ -88,7 +88,7 @@ def validate(
     # Structures are not kept: there may be thousands.
     for name, result in _validate_files(files, compared, posebusters):
         if isinstance(result, ProtochainError):
-            rows.append(refused(result, file=name))
+            rows.append(refusal_row(result, file=name))
             continue
         between = _changes(reference, result) if changes else None
         rows.append({"file": name, **_row(result, between)})
@@ -101,8 +101,8 @@ def validate(
             changed.append(between.residues.assign(**of))
     tables = {
         csv: lambda: table_of(rows, _LISTS),
-        residues: lambda: joined(of_residues),
-        changes: lambda: joined(changed),
+        residues: lambda: concatenate(of_residues),
+        changes: lambda: concatenate(changed),
     }
     conclude(rows, tables, partial(_print, notes), as_json, reference=str(reference) if reference else None)
 

@@ -84,7 +84,7 @@ def test_the_version_is_that_of_the_package(capsys):
 
 
 def test_options_make_a_setup():
-    setup = lambda **given: options._made(Setup, given)  # noqa: E731
+    setup = lambda **given: options._build_settings(Setup, given)  # noqa: E731
     assert setup() == setup(keep=None, disulfide=[], ph=7.0) == Setup()
     assert setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
     chosen = setup(

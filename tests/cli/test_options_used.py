@@ -19,7 +19,7 @@ from typer.exceptions import TyperException
 import protochain as pc
 from protochain.batches import cluster
 from protochain.chains.setup import Setup
-from protochain.cli import as_said
+from protochain.cli import message_of
 from protochain.cli.options import BAD_INPUT
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import settings_of
@@ -235,7 +235,7 @@ def outcome(here, capsys, words, before=()):
     try:
         status = run(*words)
     except ProtochainError as error:
-        return BAD_INPUT, as_said(error)
+        return BAD_INPUT, message_of(error)
     except TyperException as error:
         return BAD_INPUT, error.format_message()
     except SystemExit as error:

@@ -11,7 +11,7 @@ from fixtures.samples import STRUCTURES, chain, energy
 import protochain as pc
 from protochain.batches import cluster
 from protochain.batches.jobs import BatchSettings, find_jobs
-from protochain.cli import as_said, main
+from protochain.cli import main, message_of
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -56,10 +56,10 @@ def test_only_arguments_are_told_as_options():
     assert str(error) == (
         'max_rmsd.pdb: a restraint: time_step 3; give resume=True, keep="all", restraint or path 3.14159 rad'
     )
-    assert as_said(error) == (
+    assert message_of(error) == (
         "max_rmsd.pdb: a restraint: --time-step 3; give --resume, --keep all, --restrain or path 180 degrees"
     )
-    assert as_said(pickle.loads(pickle.dumps(error))) == as_said(error)
+    assert message_of(pickle.loads(pickle.dumps(error))) == message_of(error)
 
 
 def test_every_error_is_told_from_its_parts():
@@ -76,7 +76,7 @@ def test_an_error_that_says_where_keeps_the_arguments_of_what_it_says(tmp_path):
         find_jobs([], BatchSettings(n_starts=2), tmp_path / "m.csv")
     where = f"{tmp_path}/m.csv: line 2: "
     assert str(raised.value) == f"{where}spread 0 rad: give an angle above 0"
-    assert as_said(raised.value) == f"{where}--spread 0 degrees: give an angle above 0"
+    assert message_of(raised.value) == f"{where}--spread 0 degrees: give an angle above 0"
 
 
 def test_a_file_that_is_not_written_says_how_to_go_on_in_the_words_of_the_caller():
@@ -85,7 +85,7 @@ def test_a_file_that_is_not_written_says_how_to_go_on_in_the_words_of_the_caller
         str(error)
         == "x: not written (full); saved: nothing; free space there, then continue with resume=True"
     )
-    assert as_said(pickle.loads(pickle.dumps(error))) == str(error).replace("resume=True", "--resume")
+    assert message_of(pickle.loads(pickle.dumps(error))) == str(error).replace("resume=True", "--resume")
 
 
 def test_what_is_left_out_is_told_with_the_words_of_whoever_asks(monkeypatch, capsys):

@@ -12,7 +12,7 @@ from fixtures.samples import STRUCTURES
 from typer.exceptions import TyperException
 
 import protochain as pc
-from protochain.cli import as_said
+from protochain.cli import message_of
 
 TABLE = Path(__file__).with_name("table.txt").read_text()
 LINES = [line for line in TABLE.splitlines() if line[:1] not in ("", "#")]
@@ -51,7 +51,7 @@ def outcome(words):
     try:
         return run(*words) or 0, ""
     except (pc.ProtochainError, TyperException) as error:
-        return 2, as_said(error) if isinstance(error, pc.ProtochainError) else error.format_message()
+        return 2, message_of(error) if isinstance(error, pc.ProtochainError) else error.format_message()
     except SystemExit as error:
         return error.code, ""
 
