@@ -1,6 +1,6 @@
 """Bounds on the step of the kineto-static compliance method: the step nearest to KCM's within a bound.
 
-Mohammadi and Spong (IEEE Control Syst. Lett. 6, 2022; J. Dyn. Syst. Meas. Control 147:051011, 2025) bound
+Mohammadi and Spong (IEEE Control Syst. Lett. 6, 2022, and J. Dyn. Syst. Meas. Control 147:051011, 2025) bound
 d^T Q d, which limits the rate of entropy loss, and use the direction d nearest to the KCM vector field. Only
 their abstracts could be read. The metrics Q and the solution below are derived in theory.md.
 """
@@ -166,7 +166,7 @@ def nearest_within(step: Floats, ellipsoid: Ellipsoid, bound: float) -> tuple[Fl
 
     Returns
     -------
-    (n_v,) float; float
+    (n_v,) float and float
         Nearest vector, and the multiplier lambda: 0 if the step is within the bound.
     """
     product = ellipsoid.product(step)

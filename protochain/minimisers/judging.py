@@ -1,4 +1,4 @@
-"""What judges a run: in double precision, all pairs one by one; and what is known of its ends already."""
+"""The judge of a run, which sums all pairs in double precision, and a cache of energies at its ends."""
 
 from functools import partial
 from typing import Any
@@ -21,24 +21,24 @@ NAMES = {
 
 
 class CachedEnergy:
-    """An energy that knows its values at two points, and what judges it: runs ask some of them again.
+    """An energy with its judge, which caches its values at two points that runs evaluate again.
 
-    Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
-    without lists nothing is known.
+    A cached value is used only with the same neighbour lists, so that results are equal bit for bit. Without
+    neighbour lists nothing is cached.
     """
 
     def __init__(self, energy: Energy, judge: str = defaults.JUDGE) -> None:
         self.energy = energy
         self.judging = energy.exact if judge == defaults.JUDGE else energy.reference
         self._cache: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
-        """First and last point: positions, those of the lists, energy and forces."""
+        """First and last point: positions, positions of the neighbour lists, energy and forces."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.energy, name)
 
     @property
     def judge(self) -> str:
-        """Name of what judges."""
+        """Name of the judge."""
         return NAMES[self.judging.engine]
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
@@ -53,7 +53,7 @@ class CachedEnergy:
 
     @part("judging")
     def judge_at(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
-        """Energy, kJ/mol, and forces (na, 3) at a start or another point x (na, 3), nm, by what judges."""
+        """Energy, kJ/mol, and forces (na, 3) by the judge, at a start or another point x (na, 3), nm."""
         if self.judging is self.energy:
             if first and self._cache and np.array_equal(self._cache[0][0], x):
                 return self._cache[0][2]
@@ -63,7 +63,7 @@ class CachedEnergy:
         choice = getattr(self.energy, "chosen_by", None)
         if choice and self.judging is self.energy.exact and np.array_equal(choice[0], x):
             return choice[1]
-        # The order of sums is that of the point. It may take many seconds for a large protein.
+        # The order of sums depends on the point only. It may take many seconds for a large protein.
         self.judging.list_at(x)
         value, forces = run_interruptible(partial(self.judging, x))
         if isinstance(self.energy, NativeEnergy) and not first:

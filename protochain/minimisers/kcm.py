@@ -31,11 +31,11 @@ def by_sign(direction: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class KCM(Direction):
-    """Turn every hinge in proportion to its torque, the largest turn (in another norm all) given.
+    """Turn every hinge in proportion to its torque, with a set largest turn, or a set norm of all turns.
 
-    theta_{k+1} = theta_k + h f(tau_k), with f(tau) = tau / max|tau|. No masses, no velocities, no line
-    search; h comes from the step rule. With a metric P the direction is f(P^-1 tau): with P = M, overdamped
-    motion of the chain. Where the forms come from, and what could not be read, stands in theory.md.
+    theta_{k+1} = theta_k + h f(tau_k), with f(tau) = tau / max|tau|. It has no masses, no velocities and no
+    line search. The step rule sets h. With a metric P the direction is f(P^-1 tau). With P = M it is
+    overdamped motion of the chain. theory.md lists the sources, and papers that could not be read.
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ class Proportional(Direction):
     """Turn every hinge by its torque times one constant compliance: theta_{k+1} = theta_k + c tau_k.
 
     In a harmonic well this converges if c is below 2/kappa, with kappa the largest eigenvalue of the
-    Hessian. c is found at the start, and stays, so that it is too large where stiffer contacts form later.
+    Hessian. c is set at the start and stays constant, so that it is too large if stiffer contacts form later.
 
     Parameters
     ----------
     safety : float
-        Share of 2/kappa. In extended Met-enkephalin kappa is 143 kJ/mol/rad^2, in the minimum 376: a share
-        of 0.25 converges there, one of 0.5 does not.
+        Share of 2/kappa. In extended Met-enkephalin kappa is 143 kJ/mol/rad^2, in the minimum 376. There a
+        share of 0.25 converges, and 0.5 does not.
     n_products : int
         Products with the Hessian for kappa, each two evaluations.
     """
@@ -77,13 +77,13 @@ class Proportional(Direction):
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: tuple[float, ...]
     ) -> Iterator[tuple[Floats, tuple[float, ...]]]:
-        """Yield the turns; the compliance is kept in the memory."""
+        """Yield the turns, with the compliance in the memory."""
         kappa = memory[0] if memory else largest_eigenvalue(problem, at, self.n_products)
         yield (2.0 * self.safety / kappa) * at.torque, (kappa,)
 
 
 def largest_eigenvalue(problem: Problem, at: Evaluation, n_products: int) -> float:
-    """Largest size of an eigenvalue of the Hessian at a point, from below."""
+    """Lower bound of the largest absolute eigenvalue of the Hessian at a point."""
     # -> kJ/mol/rad^2: Largest size of a Ritz value. Products are central differences of torques.
     vectors: list[Floats] = []
     products: list[Floats] = []

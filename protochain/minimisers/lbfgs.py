@@ -13,30 +13,30 @@ from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
 
 _CURVATURE = 1e-10
-"""Relative. A pair with less curvature would make the estimate of the Hessian singular, and is left out."""
+"""Relative. Pairs with less curvature are skipped: they would make the estimate of the Hessian singular."""
 
 NEAR_MEMORY = 5
-"""Pairs kept with a metric of the force field's near terms: they correct what it leaves out. With 100,
-of which most belong to metrics and places long left, runs take half as many evaluations again."""
+"""Pairs stored with a metric of the force field's near terms, to correct for its missing terms. With 100
+pairs, mostly from earlier metrics and points, runs need half as many evaluations again."""
 
 Pairs = tuple[tuple[Floats, Floats, float], ...]
-"""Steps, the decreases of torque along them, and the (positive) products of both; oldest first."""
+"""Steps, the decreases of torque along them, and the (positive) products of both, oldest first."""
 
 
 @dataclass(frozen=True)
 class LBFGS(Direction):
     """L-BFGS: Nocedal, Wright, *Numerical Optimization* (2006), 7.4-7.5.
 
-    The first estimate of the Hessian is a metric, scaled to the last pair: it may change from one iteration
-    to the next. Free roots move on their rotation group: steps and torque changes of successive points are
-    read as vectors of one space, which is right to first order in the step.
+    The first estimate of the Hessian is a metric, scaled to the last pair. It may change from one iteration
+    to the next. Free roots move on their rotation group. Steps and torque changes of successive points are
+    treated as vectors of one space, which is correct to first order in the step.
 
     Parameters
     ----------
     metric : Metric
         First estimate of the Hessian.
     memory : int
-        Number of pairs kept.
+        Number of stored pairs.
     """
 
     metric: Metric = field(default_factory=Stiffness)
@@ -53,7 +53,7 @@ class LBFGS(Direction):
             yield direction, pairs
 
     def update(self, memory: Pairs, before: Evaluation, step: Floats, after: Evaluation) -> Pairs:
-        """Add a pair, and drop the oldest beyond the number kept."""
+        """Add a pair, and drop the oldest if there are too many."""
         recent = deque(memory, maxlen=self.memory)
         change = before.torque - after.torque
         # The squared torques of coinciding atoms may overflow: no pair then.

@@ -1,4 +1,4 @@
-"""The one loop of all minimisers: methods propose the next point; the loop records, checks and stops."""
+"""The one loop of all minimisers. Methods propose the next point. The loop records, checks and stops."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ class Stop(Enum):
 
 
 class State(Protocol):
-    """A method's state; the loop reads only its current point."""
+    """A method's state, of which the loop reads only the current point."""
 
     @property
     def at(self) -> Evaluation:
@@ -37,25 +37,25 @@ class State(Protocol):
 class Method(Protocol):
     """A minimiser: a :class:`protochain.minimisers.Descent`, or any object with these two methods.
 
-    For checkpoints it names the classes of its state, frozen dataclasses, in ``states``.
+    For checkpoints, ``states`` lists the classes of its state, which are frozen dataclasses.
     """
 
     def init(self, problem: Problem, at: Evaluation) -> Any:
         """State at the start."""
 
     def step(self, problem: Problem, state: Any) -> Any | None:
-        """State after one step; None if no step lowers the energy, or why its state's ``stop`` says."""
+        """State after one step, or None at the end, for the reason in ``stop`` of its state or no descent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A run between two iterations, with all that its continuation depends on."""
+    """State of a run between two iterations, complete enough to continue it."""
 
     state: State
     start: Evaluation  # First point of the run.
     tally: Tally
     n_iterations: int
-    # (na, 3): Where the energy's neighbour lists were built: they set the order of its sums.
+    # (na, 3): Positions at which the energy's neighbour lists were built, which set the order of its sums.
     lists_at: Floats | None
 
 
@@ -87,13 +87,13 @@ def run(
     q : (n_q,) float
         First point.
     tolerance : float
-        Stop when the residual is no larger.
+        Stop if the residual is at most this.
     patience : int
         Stop after this many evaluations without a new lowest energy.
     record : callable
         Called with each point the method accepts, including the start.
     resume : Snapshot, optional
-        Continue from there instead: the steps are those of an uninterrupted run.
+        Continue from there, with the same steps as an uninterrupted run.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def run(
 
 @dataclass(frozen=True)
 class Unstarted:
-    """State before the method has initialised its own."""
+    """State before the method is initialised."""
 
     at: Evaluation
 

@@ -13,8 +13,8 @@ from protochain.minimisers.problem import Evaluation, Space
 Solve = Callable[[Floats], Floats]
 
 NEAR_REFRESH = 5
-"""Iterations between two models of the Hessian from the force field's near terms, which cost about an energy.
-Renewed at every step, runs in all atoms take no fewer evaluations; every 20 steps, a third more."""
+"""Iterations between two models of the Hessian from the force field's near terms, each as costly as an energy.
+With a model at every step, runs in all atoms need as many evaluations. With one in 20 steps, a third more."""
 
 
 class Metric(Protocol):
@@ -47,7 +47,7 @@ class Euclidean:
 
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix; descent in it is overdamped motion of the chain (M^-1 tau in O(n)).
+    """The mass matrix. Descent in this metric is overdamped motion of the chain (M^-1 tau in O(n)).
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian from the force field's near terms, or where these are not known from springs.
+    """A model of the Hessian from the force field's near terms, or from springs if these are not known.
 
     See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.spring_model`.
 
@@ -83,10 +83,10 @@ class Stiffness:
 
 @dataclass(frozen=True)
 class Damped(Stiffness):
-    """The model of all atoms, damped in proportion to the RMS force: far from a minimum steps are short.
+    """The model of all atoms, damped in proportion to the RMS force: far from a minimum, steps are short.
 
-    A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004): soft
-    freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it.
+    A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004). Soft
+    freedoms do not run ahead of stiff ones, so that a start leads to a nearby minimum.
     """
 
     damping: float = 300.0  # 1/nm: Added to the diagonal, times the RMS force.
@@ -109,7 +109,7 @@ class Preconditioner:
     solve : callable
         Solver for the matrix.
     age : int
-        Iterations since.
+        Iterations since then.
     """
 
     metric: Metric

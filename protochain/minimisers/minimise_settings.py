@@ -11,10 +11,10 @@ from protochain.core.errors import Angle, Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
 JUDGES = (defaults.JUDGE, "reference")
-"""Who judges: our kernels where they know the energy, or OpenMM's Reference platform in any case."""
+"""Judges: our kernels if they support the energy, or always OpenMM's Reference platform."""
 
 TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
-"""Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
+"""Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm. Above this, any start has converged."""
 
 
 def _not_empty(text: str) -> str:
@@ -25,7 +25,7 @@ def _not_empty(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class MinimiseSettings(Settings):
-    """How far a minimisation goes, and what holds it; for the meanings see :func:`protochain.minimise`."""
+    """Limits and restraints of a minimisation. :func:`protochain.minimise` explains them."""
 
     tolerance: float | None = setting(
         None,
@@ -82,7 +82,7 @@ class MinimiseSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointSettings(Settings):
-    """Where the state of a run is written, and read, so that it can go on."""
+    """Files of the state of a run, to continue it."""
 
     checkpoint: str | Path | None = setting(
         None, "File for the state at the end, .npz.", optional(path), Path, type="path-like, optional",
@@ -98,7 +98,7 @@ class CheckpointSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class StartSettings(Settings):
-    """Many starts; for the meanings see :func:`protochain.explore`."""
+    """Settings of many starts. :func:`protochain.explore` explains them."""
 
     n_starts: int = setting(
         1,

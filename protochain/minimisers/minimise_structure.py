@@ -66,38 +66,38 @@ def minimise(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges. A result goes on from its end,
-        with its own hinges. Methods that move masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
-        ``quench``) free a root that ``auto`` has fixed: then ``chain`` of the result is the freed one, to
-        which its ``q`` belongs.
+    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+        A file is loaded, and a structure is cut into a chain with the default hinges. A result continues from
+        its end, with its own hinges. Methods that move masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
+        ``quench``) free a root that ``auto`` has fixed. ``chain`` and ``q`` of the result then have a free
+        root.
     energy : Energy or callable, optional
-        Default: that of the result, if the chain is one, without the restraints of its run; else that of
-        :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in kJ/mol and forces
-        (na, 3) in kJ/mol/nm, and judges the result too.
+        Default: for a result its own energy, without the restraints of its run, otherwise
+        :func:`protochain.energy`. A callable converts positions (na, 3) in nm to energy in kJ/mol and forces
+        (na, 3) in kJ/mol/nm, and also judges the result.
     method : str, Recipe, or object with ``init`` and ``step``
         ``cartesian`` (all atoms), ``hybrid`` (torsions, then all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, turns of a fixed angle, which :func:`protochain.kcm` sets) with
         variants ``kcm-proportional``, ``kcm-sign``, ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
-        300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
+        300 K, bonds to hydrogen constrained, between two minimisations). For custom methods see
         :func:`protochain.minimisers.recipe_of`.
     q : (n_q,) float, optional
-        Coordinates of the given chain to start from, as of :meth:`Chain.set`; by default its input pose.
+        Coordinates of the given chain to start from, as of :meth:`Chain.set`. Default: its input pose.
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
-        trajectory. Its method ``at_stage``, if it has one, is called with the stage (``resolving clashes``,
-        ``held by springs``, ``interrupted`` ...) and the evaluations so far; ``at_warning`` with
-        a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
-        ``errors.StrayWarning`` says so. The message of a result that far away always does.
+        trajectory. Its optional method ``at_stage`` is called with the stage (``resolving clashes``,
+        ``held by springs``, ``interrupted`` ...) and the evaluations so far. Its optional method
+        ``at_warning`` is called with a line once a run from a start with overlaps is 2 angstrom (C-alpha
+        RMSD) away. Without it, ``errors.StrayWarning`` is issued. The result's message always reports it.
 
     Returns
     -------
     Solution
-        Never worse than the start, restraints included, and superposed on it unless something holds the run
-        in place (an obstacle, a selection, a restraint, an energy that depends on the place). Its status is
-        the judge's, not the method's own.
+        Never worse than the start, restraints included. It is superposed on the start unless an obstacle, a
+        selection, a restraint, or an energy that depends on the place fixes the run in space. The judge sets
+        its status, not the method.
 
     Raises
     ------
@@ -106,10 +106,9 @@ def minimise(
 
     Notes
     -----
-    The native engine leaves out terms that are constant in the chain. Single-precision forces, as of
-    OpenMM's CPU platform, limit how small a torque can become: when a method on such an engine claims its
-    tolerance, finds no lower energy or meets a number that is not finite, it continues on the Reference
-    platform, within the same budget.
+    The native engine skips terms that are constant in the chain. Single-precision forces, as of OpenMM's CPU
+    platform, limit how small a torque can become. If a method on such an engine reports convergence, no lower
+    energy, or a number that is not finite, it continues on the Reference platform, within the same budget.
 
     Examples
     --------
@@ -148,12 +147,12 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 
     @property
     def converged_at(self) -> float:
-        """Tolerance given, or the recipe's own."""
+        """Tolerance of the user, or the recipe's default."""
         return self.recipe.tolerance(self.tolerance)
 
     @property
     def examines(self) -> bool:
-        """Whether the curvature at its end is examined."""
+        """Whether the curvature at the end is computed."""
         usual = self.recipe.keeps_geometry or self.converged_at <= ALL_ATOMS_UP_TO
         return not self.recipe.by_openmm and (usual if self.curvature is None else self.curvature)
 
@@ -189,7 +188,7 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)
     start = start.of(run.recipe, run.judge)
-    # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
+    # BLAS on one thread: sums must not depend on the machine, and threads must not compete with the energy.
     with threadpool_limits(1, "blas"):
         with open_to_interrupts():
             start.warm(run.recipe)
@@ -203,20 +202,20 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
 
 
 def _frame(start: Start, run: Minimisation) -> Frame:
-    """Frame of the result; a fixed root holds it if the caller asked for one and only hinges turn."""
+    """Frame of the result, fixed by a fixed root if the caller requested one and only hinges turn."""
     fixed = start.chain.root == "fixed" and run.recipe.keeps_geometry
     return frame_of(start.chain, start.energy, run.start_hold.place or ("a fixed root" if fixed else ""))
 
 
 def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
-    """Whether nothing but fixed atoms, if there are any, holds a run in place."""
+    """Whether nothing fixes a run in space, except fixed atoms, if there are any."""
     if start.chain.moving.all():
         return not frame.held_by
     return not run.start_hold.place and not depends_on_place(start.energy, start.chain.structure.positions)
 
 
 def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
-    """Walk through the stages of a recipe."""
+    """Run the stages of a recipe."""
     chain, hold = start.chain, run.start_hold
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0
@@ -248,7 +247,7 @@ def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
-    """Say when a run from a crowded start goes far; nothing watches others."""
+    """Watcher that warns if a run from a crowded start goes far. Other runs have none."""
     return StrayWatcher(start.chain.structure, record.warn) if start.is_crowded else lambda x: None
 
 
@@ -267,7 +266,7 @@ def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, seconds: float) -> Solution:
-    """Judge an outcome; the start itself is the result where the end is no better."""
+    """Judge an outcome. The start itself is the result if the end is not better."""
     chain, energy, restraint, structure = start.chain, start.energy, outcome.restraint, start.chain.structure
     at, end = _select_end(start, outcome)
     lowest = outcome.lowest_eigenvalue if at is not start.pose else None
@@ -284,7 +283,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)
-    # Made when first read, from what does not hold the watcher.
+    # Built on first access, without a reference to the watcher.
     trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)
     return Solution(
         recipe=run.recipe,
@@ -318,7 +317,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
 
 
 def _select_end(start: Start, outcome: Outcome) -> tuple[Pose, Judgement]:
-    """Pose and judgement of the end, or of the start where the end is no better, restraints included."""
+    """Pose and judgement of the end, or of the start if the end is not better, restraints included."""
     if isinstance(outcome.space, Torsions):
         chain = outcome.space.chain
         at = pose(chain, outcome.q)
@@ -338,7 +337,7 @@ def _select_end(start: Start, outcome: Outcome) -> tuple[Pose, Judgement]:
 def _describe_residuals(
     outcome: Outcome, residual: float, tolerance: float, engine: str, met: bool, lowest: float | None
 ) -> str:
-    """What was measured of an end, in words: residual, judge and curvature."""
+    """Residual, judge and curvature of an end, in words."""
     restrained = ", restraints included" if outcome.restraint else ""
     judgement = "judged by the callable itself" if engine == "custom" else "in double precision"
     text = f"{outcome.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judgement}"

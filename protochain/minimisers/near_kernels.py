@@ -1,6 +1,6 @@
 """Kernels of the near terms' curvature: stiffness of pairs, gradients of angles, blocks, and free pairs.
 
-``own`` (na, 9) are blocks of the Hessian on its diagonal, row by row, ``shared`` (n, 9) those of pairs.
+``atom_blocks`` (na, 9) are diagonal blocks of the Hessian, row by row, ``pair_blocks`` (n, 9) those of pairs.
 """
 
 import numpy as np
@@ -11,18 +11,18 @@ from protochain.energies.native.neighbours import grow_rows
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract, vector
 
 STIFFEST = 1e6
-"""kJ/mol/nm^2, of one pair: twice the stiffest bond. Atoms that overlap would leave no digits for others."""
+"""kJ/mol/nm^2, limit for a pair: twice the stiffest bond. Overlapping atoms would hide others by rounding."""
 
 _TINY = 1e-6
-"""nm^2, least square of a length, or area, that is divided by."""
+"""nm^2, smallest square of a length, or area, in a denominator."""
 _THIN = 1e-5
-"""nm^4, least square of an area that a dihedral turns with, a fiftieth of that of two bonds: three atoms in
+"""nm^4, smallest square of an area that turns a dihedral, 1/50 of the value for two bonds. Three atoms in
 line turn by any angle without moving."""
 
 
 @kernel
 def bond_stiffness(x: Floats, pairs: Integers, length: Floats, k: Floats) -> tuple[Floats, Floats]:
-    """Curvatures (n,) of harmonic bonds along their lines and across them, none below 0."""
+    """Curvatures (n,) of harmonic bonds along their lines and across them, at least 0."""
     across = np.empty(len(pairs))
     for n in range(len(pairs)):
         d = subtract(vector(x, pairs[n, 0]), vector(x, pairs[n, 1]))
@@ -32,7 +32,7 @@ def bond_stiffness(x: Floats, pairs: Integers, length: Floats, k: Floats) -> tup
 
 @kernel
 def well_stiffness(x: Floats, pairs: Integers, a12: Floats, b6: Floats) -> tuple[Floats, Floats]:
-    """Curvatures (n,) of A/r^12 - B/r^6 along the lines and across them, none below 0."""
+    """Curvatures (n,) of A/r^12 - B/r^6 along the lines and across them, at least 0."""
     along, across = np.empty(len(pairs)), np.empty(len(pairs))
     for n in range(len(pairs)):
         d = subtract(vector(x, pairs[n, 0]), vector(x, pairs[n, 1]))
@@ -46,7 +46,7 @@ def well_stiffness(x: Floats, pairs: Integers, a12: Floats, b6: Floats) -> tuple
 
 @kernel
 def bends(x: Floats, atoms: Integers) -> Floats:
-    """Gradients (n, 3, 3) of the angles of three atoms each; none where these are in line."""
+    """Gradients (n, 3, 3) of the angles of three atoms each, zero if these are in line."""
     gradients = np.empty((len(atoms), 3, 3))
     for n in range(len(atoms)):
         middle = vector(x, atoms[n, 1])
@@ -113,7 +113,7 @@ def add_gradients(
     atoms: Integers, gradients: Floats, stiffness: Floats, slots: Integers, atom_blocks: Floats,
     pair_blocks: Floats,
 ) -> None:  # fmt: skip
-    """Add k g g^T of each term; the rows of a shared block are those of the atom with the smaller index."""
+    """Add k g g^T of each term. The rows of a pair block belong to the atom with the lower index."""
     for n in range(len(atoms)):
         pair = 0
         for p in range(atoms.shape[1]):
@@ -133,7 +133,7 @@ def add_gradients(
 
 @kernel
 def _grid(x: Floats, reach: float) -> tuple[Floats, float, Integers]:
-    """Lowest corner, side, and numbers of cells of a grid with no more cells than some for each atom."""
+    """Lowest corner, side, and numbers of cells of a grid with a limited number of cells per atom."""
     low, high = x[0].copy(), x[0].copy()
     for i in range(len(x)):
         for a in range(3):
@@ -152,13 +152,13 @@ def _grid(x: Floats, reach: float) -> tuple[Floats, float, Integers]:
 
 @kernel
 def _cell(x: Floats, i: int, a: int, low: Floats, side: float, shape: Integers) -> int:
-    """Place of an atom along an axis of the grid."""
+    """Index of an atom's cell along an axis of the grid."""
     return min(int(min((x[i, a] - low[a]) / side, 1e6)), shape[a] - 1)
 
 
 @kernel
 def _cells(x: Floats, low: Floats, side: float, shape: Integers) -> tuple[Integers, Integers]:
-    """Atoms sorted by cell: start of each cell, and the atoms, in their order."""
+    """Start of each cell, and the atoms sorted by cell."""
     place = np.empty(len(x), np.int64)
     start = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
     for i in range(len(x)):
@@ -178,7 +178,7 @@ def _cells(x: Floats, low: Floats, side: float, shape: Integers) -> tuple[Intege
 def free_pairs(
     x: Floats, first_partner: Integers, partner: Integers, moving: NDArray[np.bool_], reach: float
 ) -> Integers:
-    """Pairs (n, 2) within reach that are no partners and of which one atom moves, by their first atoms."""
+    """Pairs (n, 2) within reach with a moving atom, without excluded partners, sorted by first atom."""
     low, side, shape = _grid(x, reach)
     start, order = _cells(x, low, side, shape)
     pairs, n_pairs = np.empty((8 * len(x) + 8, 2), np.int64), 0

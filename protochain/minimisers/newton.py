@@ -12,8 +12,7 @@ from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import SMALLEST
 
 _TURN = 1e-5
-"""rad or nm, of the largest freedom: step of the difference quotient of torques, between truncation and
-rounding."""
+"""rad or nm, change of the largest freedom for differences of torques: between truncation and rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +27,8 @@ class PseudoTransientState:
 class Newton(Direction):
     """Truncated Newton: Dembo, Steihaug, Math. Program. 26:190 (1983).
 
-    Solves H d = tau by preconditioned conjugate gradients until the residual is small relative to the torque,
-    or a direction of negative curvature is met. A product with H costs an evaluation.
+    Preconditioned conjugate gradients solve H d = tau until the residual is small relative to the torque, or
+    the curvature along a direction is negative. A product with H costs an evaluation.
 
     Parameters
     ----------
@@ -60,14 +59,14 @@ class PseudoTransient:
     """Pseudo-transient continuation of d theta/dt = tau by linearly implicit Euler steps.
 
     (1/delta + H) d = tau, with delta growing as the torque falls, ``delta_{k+1} =
-    delta_k |tau_{k-1}| / |tau_k|`` (switched evolution relaxation): Kelley, Keyes, SIAM J. Numer. Anal.
-    35:508 (1998); for the compliance method, Robotics 13(10):150 (2024). From small steps along the torques
-    it turns into Newton's method. A step that raises the energy is taken back, and delta made smaller.
+    delta_k |tau_{k-1}| / |tau_k|`` (switched evolution relaxation, Kelley, Keyes, SIAM J. Numer. Anal.
+    35:508, 1998, and for the compliance method Robotics 13(10):150, 2024). It begins with small steps along
+    the torques and becomes Newton's method. A step that raises the energy is rejected, and delta reduced.
 
     Parameters
     ----------
     time_step : float, rad^2 mol/kJ
-        First delta, for a largest torque of 1 kJ/mol/rad: it is divided by the largest torque.
+        First delta, for a largest torque of 1 kJ/mol/rad. It is divided by the largest torque.
     max_products : int
         Products with H in one step at most.
     """
@@ -81,7 +80,7 @@ class PseudoTransient:
         return PseudoTransientState(at, self.time_step / max(1.0, at.residual))
 
     def step(self, problem: Problem, state: PseudoTransientState) -> PseudoTransientState | None:
-        """Take the longest step that lowers the energy."""
+        """Make the longest step that lowers the energy."""
         space, at, delta = problem.space, state.at, state.time_step
         while True:
             turn = conjugate_gradients(problem, at, np.copy, 1.0 / delta, 0.1, self.max_products)
@@ -98,7 +97,7 @@ class PseudoTransient:
 def conjugate_gradients(
     problem: Problem, at: Evaluation, solve: Solve, shift: float, rtol: float, max_products: int
 ) -> Floats:
-    """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far."""
+    """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature so far."""
     # -> (n_v,): A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
     turn = np.zeros_like(at.torque)
     residual = at.torque.copy()

@@ -21,7 +21,7 @@ Record = Callable[[Floats, float, int, Floats], None]
 """Called with positions, energy, evaluations so far and forces after each iteration."""
 
 _SETTLED = 100.0
-"""kJ/mol/nm. RMS force below which OpenMM's dynamics start: remaining strain would turn into heat."""
+"""kJ/mol/nm. RMS force below which OpenMM's dynamics start, as remaining strain would become heat."""
 
 
 @part("loop")
@@ -31,8 +31,8 @@ def minimise_by_openmm(
 ) -> Outcome:  # fmt: skip
     """Minimise by OpenMM's own minimiser, after its dynamics if the recipe draws random numbers.
 
-    Continued on the Reference platform where single precision fails. Of several structures (minimised before
-    the dynamics, and at the end) the one of lowest energy is the result.
+    It continues on the Reference platform if single precision fails. The result is the structure of lowest
+    energy among those minimised before the dynamics and at the end.
     """
     x = chain.structure.positions
     n_iterations, n_evaluations, stop, relaxed = 0, 1, Stop.BUDGET, x
@@ -81,11 +81,11 @@ def minimise_by_openmm(
 
 
 class _StopMinimisation(Exception):
-    """Raised through OpenMM to break off a line search."""
+    """Raised through OpenMM to stop a line search."""
 
 
 class _Reporter(openmm.MinimizationReporter):
-    """Record each iteration; stop at the budget or on an interrupt."""
+    """Record each iteration, and stop at the budget or on an interrupt."""
 
     def __init__(self, record: Record, budget: int, interrupts: list[int]) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class _Reporter(openmm.MinimizationReporter):
         self.best_x: Floats | None = None
 
     def count(self, state: openmm.State) -> tuple[float, Floats]:
-        """Count an evaluation of the forces, as a PythonForce that exerts none itself."""
+        """Count an evaluation of the forces, as a PythonForce of zero."""
         if self.n_evaluations >= self.budget:
             self.stop = Stop.BUDGET
         if self.interrupts:
@@ -135,8 +135,8 @@ def langevin_dynamics(
 ) -> tuple[Stop, Floats, int, int]:
     """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
 
-    Takes and returns what :func:`local_energy_minimizer` does, but ends at its last positions; each step is
-    one iteration and one evaluation of the forces.
+    Arguments and results are as in :func:`local_energy_minimizer`, but it ends at its last positions. Each
+    step is one iteration and one evaluation of the forces.
     """
     simulated = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
     constrain_hydrogens(simulated.system)

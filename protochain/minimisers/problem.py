@@ -14,11 +14,11 @@ Force = Callable[[Floats], tuple[float, Floats]]
 
 
 class BudgetSpentError(Exception):
-    """The evaluations allowed are used up; the loop turns this into a status."""
+    """The evaluations allowed are used up. The loop converts this to a status."""
 
 
 class Placement(Protocol):
-    """Coordinates and the positions they stand for: a pose of a chain, or free atoms."""
+    """Coordinates and their positions: a pose of a chain, or free atoms."""
 
     @property
     def q(self) -> Floats:
@@ -36,7 +36,7 @@ class Evaluation:
     Parameters
     ----------
     pose : Placement
-        Kept for the metrics computed at this point.
+        For metrics computed at this point.
     energy : float, kJ/mol
         Of force field and restraint together.
     torque : (n_v,) float
@@ -93,13 +93,13 @@ class Space(Protocol):
         """Torques (n_v,) of forces (na, 3) on the atoms at a placement."""
 
     def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
-        """Torques (n_v,) along the freedoms at a placement, along those at another."""
+        """Convert torques (n_v,) from the freedoms at one placement to the freedoms at another."""
 
     def residual(self, torque: Floats) -> float:
         """Size of the torques, to be compared with the tolerance."""
 
     def sizes(self, torque: Floats) -> dict[str, float]:
-        """RMS and largest of the torques, by their names in a trace; one of the two is the residual."""
+        """RMS and largest torque, by their names in a trace. One of the two is the residual."""
 
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""
@@ -107,14 +107,14 @@ class Space(Protocol):
     def stiffness(
         self, at: Evaluation, near_by: Any = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
-        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
-        # With how nearby atoms are coupled, if that is given, and springs (na,) to fixed points.
+        """Solver for a model of the Hessian at a point: torques (n_v,) -> step (n_v,)."""
+        # near_by: coupling of nearby atoms; tether (na,): springs to fixed points.
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for a model of the Hessian with nearly nothing added: it ranks soft directions."""
+        """Solver for a model of the Hessian with a tiny floor, to rank soft directions."""
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
-        """Orthonormal rigid motions (k, n_v) that leave all that is fixed in place."""
+        """Orthonormal rigid motions (k, n_v) that do not move fixed atoms."""
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""
@@ -144,11 +144,11 @@ class Problem:
     restraint : callable, optional
         Added to the energy.
     allowed : callable, optional
-        Whether positions may be the result; a run may pass through any.
+        Whether positions may be the result. A run may pass through any.
     tally : Tally
         Evaluations so far.
     interrupts : sequence of int
-        Signals received; with any, nothing more is evaluated.
+        Signals received. After one, evaluation stops.
     """
 
     space: Space
@@ -171,14 +171,14 @@ class Problem:
 
     @part("evaluations")
     def evaluate(self, q: Floats) -> Evaluation:
-        """Evaluate energy and torques at q, and count it.
+        """Evaluate energy and torques at q, and count the evaluation.
 
         Raises
         ------
         BudgetSpentError
             If no evaluation is left.
         KeyboardInterrupt
-            If a signal was received: a line search of a large protein may take many seconds.
+            If a signal was received. A line search of a large protein may last many seconds.
         """
         if self.interrupts:
             raise KeyboardInterrupt
@@ -202,7 +202,7 @@ class Problem:
 
     @property
     def lists_at(self) -> Floats | None:
-        """Positions at which the energy's neighbour lists were built, if it keeps any."""
+        """Positions at which the energy's neighbour lists were built, if it has any."""
         return getattr(self.energy, "lists_at", None)
 
     def restore(self, tally: Tally, lists_at: Floats | None) -> None:
