@@ -1,4 +1,4 @@
-"""Potential energies and forces of Cartesian positions; independent of chains."""
+"""Potential energies and forces of Cartesian positions, independent of chains."""
 
 from protochain.energies.custom import CustomEnergy, as_energy
 from protochain.energies.decomposed import Decomposed, decomposed

@@ -24,7 +24,7 @@ class EnergyCalculator(Calculator):
         properties: Any = ("energy",),
         system_changes: Any = tuple(all_changes),
     ) -> None:
-        """Compute energy and forces, whichever are asked for."""
+        """Compute energy and forces, whichever properties are requested."""
         super().calculate(atoms, properties, system_changes)
         assert self.atoms is not None
         value, forces = self.energy(self.atoms.positions / nm)

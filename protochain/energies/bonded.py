@@ -1,4 +1,4 @@
-"""The bonded part of an energy: what holds molecules together while their atoms pass through one another."""
+"""The bonded part of an energy: molecules stay intact while their atoms pass through one another."""
 
 import copy
 
@@ -18,8 +18,8 @@ _BONDED = (
 
 
 def bonded_part(energy: Energy) -> Energy | None:
-    """Bonds, angles and dihedrals of an energy, without all that acts between other atoms."""
-    # None if nothing is known of its terms, as of a callable.
+    """Bonds, angles and dihedrals of an energy, without nonbonded interactions."""
+    # None if the terms are unknown, as for a callable.
     bonded: Energy | None = getattr(energy, "bonded_terms", None)
     if bonded is not None or energy.system is None:
         return bonded

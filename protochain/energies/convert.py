@@ -1,4 +1,4 @@
-"""Conversion of energies for other libraries, and of simulations of OpenMM."""
+"""Conversion of energies for other libraries, and of OpenMM simulations."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
 
     Parameters
     ----------
-    structure : Structure, or anything that :func:`protochain.as_structure` takes
+    structure : Structure, or any input of :func:`protochain.as_structure`
         Structure to convert.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
@@ -62,24 +62,24 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
 
 
 def energy_from(calculator: Any, structure: Any) -> Energy:
-    """Energy of a structure by a calculator of ASE: of xtb, of machine-learned potentials, or another.
+    """Energy of a structure by an ASE calculator, such as xtb or a machine-learned potential.
 
     Parameters
     ----------
     calculator : ase.calculators.calculator.Calculator, or ase.Atoms with one
-        What computes energies in eV and forces in eV/angstrom.
-    structure : Structure, or anything that :func:`protochain.as_structure` takes
-        Whose elements and atoms it gets, in their order.
+        It computes energies in eV and forces in eV/angstrom.
+    structure : Structure, or any input of :func:`protochain.as_structure`
+        Structure whose elements and positions the calculator receives, in the order of the atoms.
 
     Returns
     -------
     Energy
-        For every call that takes one; judged by itself, for no other engine computes it.
+        For every call with an energy. It is its own reference, because no other engine computes it.
 
     Raises
     ------
     ProtochainError
-        If it is no calculator, or its forces are not those of its energy.
+        If it is not a calculator, or its forces are not the derivative of its energy.
 
     Examples
     --------
@@ -107,30 +107,30 @@ def energy_from(calculator: Any, structure: Any) -> Energy:
 
 
 _SAME_PLACE = 1e-6
-"""nm. Positions go through angstrom on their way."""
+"""nm. Positions are converted to angstrom and back."""
 _SIMULATION = instance(app.Simulation, "openmm.app.Simulation(topology, system, integrator)")
 
 
 @checked(simulation=_SIMULATION)
 def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
-    """Structure and energy of a simulation of OpenMM, as it is now.
+    """Structure and energy of an OpenMM simulation in its current state.
 
     Parameters
     ----------
     simulation : openmm.app.Simulation
-        Of a protein in vacuum or implicit solvent, with all hydrogens.
+        Simulation of a protein in vacuum or implicit solvent, with all hydrogens.
 
     Returns
     -------
     structure : Structure
-        With the simulation's atoms in their order, at their places.
+        Structure with the atoms of the simulation, in its order and at its positions.
     energy : Energy
-        Of the simulation's System, by native kernels if they have all its forces.
+        Energy of the simulation's System, by native kernels if they support all its forces.
 
     Raises
     ------
     ProtochainError
-        If the prepared structure would have other atoms, or bonds are constrained that have no force.
+        If the prepared structure would have other atoms, or a constrained bond has no force.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
 
 
 def _count_bare_constraints(system: openmm.System) -> int:
-    """Number of constraints without a bond's force between the same atoms."""
+    """Number of constraints without a bond force between the same atoms."""
     bonds = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
     bonded = {frozenset(f.getBondParameters(k)[:2]) for f in bonds for k in range(f.getNumBonds())}
     pairs = (system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints()))
@@ -169,19 +169,19 @@ def _count_bare_constraints(system: openmm.System) -> int:
 
 @checked(simulation=_SIMULATION)
 def to_simulation(structure: Any, simulation: Any) -> None:
-    """Give a simulation of OpenMM the positions of a structure; velocities stay as they are.
+    """Set the positions of an OpenMM simulation to a structure, without changing its velocities.
 
     Parameters
     ----------
-    structure : Structure, Solution, or anything that :func:`protochain.as_structure` takes
-        With the simulation's atoms in their order, as of :func:`from_simulation`.
+    structure : Structure, Solution, or any input of :func:`protochain.as_structure`
+        Structure with the atoms of the simulation, in its order, as from :func:`from_simulation`.
     simulation : openmm.app.Simulation
-        Whose context gets them.
+        Simulation whose context receives the positions.
 
     Raises
     ------
     ProtochainError
-        If it has another number of atoms.
+        If the structure has another number of atoms.
 
     Examples
     --------

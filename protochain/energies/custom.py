@@ -1,4 +1,4 @@
-"""Energies that users give as Python callables."""
+"""Energies of users' Python callables."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]
 
 
 class CustomEnergy:
-    """Energy by a Python callable. No other engine can check it: it is its own reference.
+    """Energy by a Python callable. No other engine can check it, so it is its own reference.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class CustomEnergy:
         self.fingerprint = hashlib.sha256(self.name.encode()).hexdigest()
 
     def without_constants(self, groups: Integers, x: Floats) -> "CustomEnergy":
-        """Return itself: its terms are not known."""
+        """Return itself, because its terms are not known."""
         return self
 
     def list_at(self, x: Floats) -> None:
-        """Do nothing: it has no neighbour lists."""
+        """Do nothing, because it has no neighbour lists."""
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
@@ -65,7 +65,7 @@ class CustomEnergy:
 
 
 def call_user(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Floats]:
-    """Ask a callable for energy and forces (na, 3) at positions x (na, 3) in nm."""
+    """Call a user's function for energy and forces (na, 3) at positions x (na, 3) in nm."""
     # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
     returned = function(np.array(x))
     if not isinstance(returned, tuple | list) or len(returned) != 2:
@@ -83,7 +83,7 @@ def call_user(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Fl
 
 
 def _real(value: Any) -> NDArray[Any] | None:
-    """Array of real numbers; None for anything else."""
+    """Array of real numbers, or None for any other value."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, RuntimeError):
@@ -92,9 +92,9 @@ def _real(value: Any) -> NDArray[Any] | None:
 
 
 def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
-    """Refuse forces of a callable that are not its energy's derivative, by a difference along one line."""
-    # It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
-    # random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
+    """Refuse forces that are not the derivative of a callable's energy, by a difference along one line."""
+    # The line starts near x (na, 3), where springs to the start act, along forces plus a random direction.
+    # The slope is then at least as large as the forces, so errors by a factor or in a part are visible.
     rng = np.random.default_rng(0)
     center = x + _DISPLACEMENT * rng.normal(size=x.shape)
     value, forces = call_user(function, center, name)
@@ -109,7 +109,7 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
         (up, _), (down, _) = (call_user(function, center + sign * step * line, name) for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * step)
         rounding = _ROUNDING * (abs(value) + 1.0) / step
-        # NaN is not larger: what is not finite is left to the run.
+        # NaN is not larger: the run handles values that are not finite.
         if not abs(slope - force_slope) > _TOLERANCE * max(abs(slope), abs(force_slope)) + rounding:
             return
     raise ProtochainError(
@@ -119,15 +119,15 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
 
 
 _DISPLACEMENT = 0.005
-"""nm. Deviation of each coordinate, far less than where atoms come to overlap."""
+"""nm. Deviation of each coordinate, too small to make atoms overlap."""
 _STEPS = (1e-5, 1e-4, 1e-3)
-"""nm. The first is right for energies in double precision, whose terms bend over some 0.01 nm; the last
-for those in single precision (1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm). One must do."""
+"""nm. The first is for double precision: terms are nonlinear over some 0.01 nm. The last is for single
+precision: 1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm. The check passes if one step does."""
 _TOLERANCE = 0.02
-"""Of the slope. Truncation is less than a hundredth at all steps but where atoms overlap; forces wrong by a
-factor, in sign or in a part are off by more."""
+"""Relative to the slope. Truncation is less than a hundredth at all steps unless atoms overlap. Forces with a
+wrong factor, sign or part differ by more."""
 _ROUNDING = 64 * float(np.finfo(float).eps)
-"""Of an energy, for some dozen sums."""
+"""Rounding error relative to an energy, for some dozen sums."""
 
 
 def name_of(value: Any) -> str:
@@ -137,29 +137,29 @@ def name_of(value: Any) -> str:
 
 
 def as_energy(given: Any, structure: Structure, source: Any = None, **arguments: Any) -> Energy:
-    """Make an energy of what a caller gives.
+    """Return the energy that a caller requests.
 
     Parameters
     ----------
     given : Energy, callable or None
-        Energy of this structure, or callable as of :class:`CustomEnergy`. By default that of the source, if
-        it has one, as a result has; else that of the default force field.
+        Energy of this structure, or callable as for :class:`CustomEnergy`. The default is the energy of the
+        source, if it has one, as a result has, or else the energy of the default force field.
     structure : Structure
         Structure whose energy it is.
     source : Any
-        What the caller gave as the structure.
-    **named
-        Arguments of :func:`protochain.energy` that the caller has named, in place of those of the source.
+        Structure argument of the caller.
+    **arguments
+        Arguments of :func:`protochain.energy` from the caller. They replace the arguments of the source.
 
     Returns
     -------
     Energy
-        The given energy, or one that wraps the callable.
+        The given energy, or an energy that wraps the callable.
 
     Raises
     ------
     ProtochainError
-        If it is neither, was built for other atoms, or does not return an energy and its forces.
+        If the value is neither, was built for other atoms, or does not return an energy and its forces.
     """
     if given is None:
         given = energy(source if has_energy(source) else structure, **arguments)

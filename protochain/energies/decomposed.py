@@ -1,9 +1,9 @@
 """Energy by term, by residue and by pair of residues.
 
-Half of a bond or a pair of atoms goes to either atom, an angle to its middle atom, half of a torsion to
-either middle atom, an improper to the atom that the other three are bonded to, a torsion map to C-alpha,
-generalised Born's self energy and the surface to their atom. The energy of two residues is that of the terms
-and pairs of which either has half: half of these, and what is within a residue, add up to its share.
+Bonds and pairs of atoms are split equally between their two atoms, torsions between their two middle atoms.
+An angle belongs to its middle atom, an improper to the atom bonded to the other three, a torsion map to
+C-alpha. Self energies of generalised Born and surface terms belong to their atom. The energy of a pair of
+residues sums the terms split between them. A residue's share is half of its pairs and all terms within it.
 """
 
 import re
@@ -48,13 +48,13 @@ TERMS = (
     "surface",
     "ties",
 )
-"""Terms of the energy; ``ties`` hold bonds to molecules kept with the protein."""
+"""Terms of the energy. ``ties`` are springs of bonds to hetero molecules."""
 BY = ("term", "residue", "pair")
 _NONBONDED = slice(5, 8)
 _CHUNKS = 16
-"""Parts of the sums over pairs: their order, and so the last bits, are those of any number of threads."""
+"""Parts of the sums over pairs. Their order, and so the last bits, are the same for any number of threads."""
 _AWAY = 1e4
-"""nm between molecules that do not feel one another: Born radii change by less than the last bit."""
+"""nm between molecules that do not interact: Born radii change by less than the last bit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,11 @@ class Decomposed(Value):
     Parameters
     ----------
     structure : Structure
-        Whose energy it is.
+        Structure of the energy.
     shares : (terms, nr) float, kJ/mol
-        Of each residue, in the order of ``TERMS``.
+        Share of each residue, in the order of ``TERMS``.
     pairs : (terms, nr, nr) float, kJ/mol
-        Upper triangle: of two residues, and within one on the diagonal; empty if not asked for.
+        Upper triangle: energies of two residues, on the diagonal within a residue. Empty unless requested.
     """
 
     structure: Structure
@@ -92,36 +92,36 @@ def energy_terms(
     energy: Energy | None = None,
     **settings: Any,
 ) -> "pd.DataFrame":
-    """Tell what the energy of a structure is made of.
+    """Decompose the energy of a structure by term, residue or pair of residues.
 
     Parameters
     ----------
-    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+    source : Structure, path, or any input of :func:`protochain.as_structure`
         Structure whose energy to decompose.
     by : str
         One of ``term``, ``residue``, or ``pair`` of residues.
     between : two str, or one text, optional
-        Two parts of the structure, as ``"A:1-50,B"``, or two selections in the language of MDAnalysis: the
-        terms of their interaction, and with ``residue`` or ``pair`` who brings it about.
+        Two parts of the structure, as ``"A:1-50,B"``, or two selections in the language of MDAnalysis. The
+        result is their interaction, with ``residue`` or ``pair`` by residues.
     forcefield, solvent : str, optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
-        In place of one of this force field and solvent; any whose System the native engine can compute. By
-        default that of a result.
+        Any energy whose System the native engine supports, in place of force field and solvent. The default
+        is the energy of a result.
     **settings
         Options of :func:`protochain.load`, for a file.
 
     Returns
     -------
     pandas.DataFrame
-        Energies in kJ/mol, columns ``TERMS`` and ``total``. By term one row, the index says of what:
-        ``whole``, or for two parts ``interaction`` (pairs between them, with the Born radii that they have
-        together), ``desolvation`` (what generalised Born and surface of either part change when the other
-        comes from far away, all else being away) and ``sum``. By residue a row each, after ``chain``,
-        ``residue`` and ``name``; by pair a row for each two residues with an energy, after these of both, and
-        one for what is within a residue. Half of a bond, a tie or a pair of atoms goes to either atom, an
-        angle to its middle atom, half of a torsion to either middle atom, an improper to its central atom, a
-        torsion map to its C-alpha, generalised Born's self energy and the surface to their atom.
+        Energies in kJ/mol, columns ``TERMS`` and ``total``. By term, the only row is ``whole``. For two
+        parts, the rows are ``interaction`` (pairs between the parts, with the Born radii of the complex),
+        ``desolvation`` (change of generalised Born and surface within each part on binding, all other
+        molecules removed) and ``sum``. By residue, a row starts with ``chain``, ``residue`` and ``name``. By
+        pair, rows start with these columns of both residues. A residue paired with itself has its internal
+        energy. Bonds, ties and pairs of atoms are split equally between their two atoms, torsions between
+        their two middle atoms. An angle belongs to its middle atom, an improper to its central atom, a
+        torsion map to its C-alpha. Self energies of generalised Born and surface terms belong to their atom.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def _with_total(table: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Residues of two parts, (nr,) bool each."""
+    """Residues of two parts, each (nr,) bool."""
     sides = between.split(",") if isinstance(between, str) else between
     if not isinstance(sides, list | tuple) or len(sides) != 2 or not all(isinstance(e, str) for e in sides):
         raise ProtochainError(f"between {between!r}: give two parts, as 'A:1-50,B'")
@@ -181,9 +181,9 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
 
 
 def residues_of(structure: Structure, part: str, argument: str) -> NDArray[np.bool_]:
-    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, which an argument names.
+    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, for a named argument.
 
-    Ends with insertion codes, as ``H:111A-112``, mean the residues between them in the order of the file.
+    Ends with insertion codes, as ``H:111A-112``, select the residues between them in the order of the file.
     """
     place = re.fullmatch(r"(\w+)(?::(-?\d+)([A-Za-z]?)(?:-(-?\d+)([A-Za-z]?))?)?", part)
     chains = [*dict.fromkeys(structure.residue_chain.tolist())]
@@ -216,7 +216,7 @@ def residues_of(structure: Structure, part: str, argument: str) -> NDArray[np.bo
 
 
 def _pairs_across(energies: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
-    """What is of pairs of residues of the two parts alone."""
+    """Energies of pairs of residues with one residue in each part."""
     first, second = parts
     across = first[:, None] & second
     pairs = energies.pairs * (across | across.T)
@@ -236,7 +236,7 @@ def _interface(
 
 
 def native_of(energy: Energy) -> NativeEnergy | None:
-    """The same energy by the native engine; None of a callable, or of a System that it cannot compute."""
+    """The same energy by the native engine, or None for a callable or an unsupported System."""
     if isinstance(energy, DeviceEnergy):
         energy = energy.processor
     if isinstance(energy, OpenMMEnergy):
@@ -249,8 +249,8 @@ def native_of(energy: Energy) -> NativeEnergy | None:
 
 def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[dict[str, float], ...]:
     """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each."""
-    # Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
-    # pairs one by one would take longer than the run.
+    # Empty if the terms are unknown, as for a callable, and for more than ``defaults.FULL_UP_TO`` atoms,
+    # because a sum over single pairs would take longer than the run.
     native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
 
@@ -258,10 +258,10 @@ def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[
 def interaction(
     structure: Structure, energy: NativeEnergy, x: Floats, first: NDArray[np.bool_], second: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Interaction of two parts, and what it costs to take the solvent from between them, all else away."""
-    # x (na, 3) nm, one, other (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: Shares of each
-    # residue: half of its pairs with the other part, with the Born radii that both have together; and what
-    # generalised Born and surface within its own part change.
+    """Interaction of two parts and their desolvation, with all other molecules removed."""
+    # x (na, 3) nm, first, second (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: shares of each
+    # residue. Interaction is half of its pairs with the other part, with the Born radii of the complex.
+    # Desolvation is the change of generalised Born and surface within its own part.
     first_atoms, second_atoms = (part[structure.atom_residue] for part in (first, second))
     offset = np.zeros((structure.n_atoms, 3))
     offset[~first_atoms & ~second_atoms, 1] = _AWAY
@@ -276,28 +276,28 @@ def interaction(
 
 
 def _shares(pairs: Floats) -> Floats:
-    """(terms, nr): half of its pairs with others and all within it, of each residue."""
+    """(terms, nr): half of the pairs of each residue with other residues, and all terms within it."""
     return np.asarray(0.5 * (pairs.sum(axis=1) + pairs.sum(axis=2)))
 
 
 def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: bool = False) -> Decomposed:
-    """Decompose an energy: its terms, and the shares of residues in them.
+    """Decompose an energy into terms and shares of residues.
 
     Parameters
     ----------
     structure : Structure
-        Whose atoms belong to residues.
+        Structure with the residues.
     energy : NativeEnergy
-        Of its atoms.
+        Energy of its atoms.
     x : (na, 3) float, nm
         Positions.
     pairs : bool
-        Whether to sum it by pairs of residues, too.
+        Whether to sum the energy by pairs of residues, too.
 
     Returns
     -------
     Decomposed
-        Terms, shares, and pairs if asked for.
+        Terms, shares, and pairs if requested.
     """
     terms, residue_of, n = energy.terms, structure.atom_residue, structure.n_residues
     born, shares = energy.born_radii(x), np.zeros((len(TERMS), n))
@@ -330,12 +330,12 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
 def _pairs_of_residues(
     terms: Terms, x: Floats, born: Floats, start: Integers, threads: int
 ) -> Iterator[tuple[int, Floats]]:
-    """Lennard-Jones, Coulomb and generalised-Born energies of pairs of some residues, from a first on."""
-    # (3, some, nr), part by part: of many residues the whole would take much memory.
+    """Yield nonbonded energies (3, rows, nr) of chunks of residues with all later residues."""
+    # Lennard-Jones, Coulomb and generalised Born, in chunks: the full array would need much memory.
     nonbonded, solvent, n = terms.nonbonded, terms.solvent, len(start) - 1
     partner_start, partners = partners_of(nonbonded.exceptions.atoms, len(x))
     gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
-    # Rows of the first residues are longer: each part has as many pairs.
+    # Rows of the first residues are longer. Each part has the same number of pairs.
     boundaries = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
     begin = np.clip(np.round(boundaries), 0, n).astype(int)
 
@@ -354,11 +354,11 @@ def _pairs_of_residues(
 
 
 _SharedEnergies = tuple[Integers, Floats]
-"""(n, 2) int, (n,) float: the two atoms, or one twice, that share each energy."""
+"""(n, 2) int, (n,) float: the two atoms that share each energy, or one atom twice."""
 
 
 def _exception_energies(terms: Terms, x: Floats) -> dict[str, _SharedEnergies]:
-    """Pairs with parameters of their own."""
+    """Energies of exceptions, pairs with their own parameters."""
     exceptions = terms.nonbonded.exceptions
     is_active = exceptions.parameters.any(axis=1)
     atoms, (a, b, qq) = exceptions.atoms[is_active], exceptions.parameters[is_active].T
@@ -404,7 +404,7 @@ def _dihedrals(x: Floats, atoms: Integers) -> Floats:
 
 
 def _maps(maps: Bonded, coefficients: Floats, x: Floats) -> Floats:
-    """Bicubic in each cell of a grid over two dihedrals."""
+    """Torsion map energies, bicubic in each cell of a grid over two dihedrals."""
     size = coefficients.shape[1]
     angles = [_dihedrals(x, maps.atoms[:, k : k + 4]) for k in (0, 4)]
     cells = [phi % (2.0 * np.pi) * size / (2.0 * np.pi) for phi in angles]

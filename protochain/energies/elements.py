@@ -1,7 +1,7 @@
-"""Parameters of molecules that a force field does not know: by element, without internal energy.
+"""Parameters by element, without internal energy, for molecules that a force field does not support.
 
-These are kept as fixed obstacles, so that only their interaction with the protein matters: Lennard-Jones by
-element, the formal charges of the file if it has any, and the radii that the solvent models give to elements.
+The molecules are fixed obstacles, so only their interaction with the protein matters. They have Lennard-Jones
+parameters by element, formal charges from the file if present, and the solvent model's radii of elements.
 """
 
 import copy
@@ -32,23 +32,22 @@ _MONOVALENT = {
     ("Cu", 1): (0.2139939, 0.0046986), ("Ag", 1): (0.2389390, 0.0342432), ("Tl", 1): (0.3034401, 0.5866722),
 }  # fmt: skip
 """Sigma (nm) and epsilon (kJ/mol) of ions that OpenMM's set for TIP3P lacks: Li, Song, Merz, J. Chem. Theory
-Comput. 11:1645 (2015), fitted to free energies of hydration. Those of OpenMM's set with two charges and more
-are of Li, Roberts, Chakravorty, Merz, J. Chem. Theory Comput. 9:2733 (2013)."""
+Comput. 11:1645 (2015), fitted to free energies of hydration. OpenMM's ions with two or more charges are from
+Li, Roberts, Chakravorty, Merz, J. Chem. Theory Comput. 9:2733 (2013)."""
 _TOUCHING = 0.4
-"""nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
-positions or bonds among them would add a large constant."""
+"""nm. Obstacles closer than this do not interact, because their distance never changes, and alternate
+positions or bonds between them would add a large constant."""
 _DONATED, _RETAINED = 0.37, 0.26
-"""Charge that a donor takes over from a metal of charge 2 (e), and the share that the metal retains at least:
-those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935,
-2010). A donor takes over as much of a smaller charge, and in proportion of a larger one."""
+"""Charge that a donor receives from a metal of charge 2 (e), and smallest share that the metal retains, from
+Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010).
+A donor receives the same charge from a smaller metal charge, and in proportion from a larger one."""
 
 
 @cache
 def _universal() -> dict[str, tuple[float, float]]:
     """Distance of the minimum (angstrom) and well depth (kcal/mol) of each element.
 
-    Of the universal force field: Rappe, Casewit, Colwell, Goddard, Skiff, J. Am. Chem. Soc. 114:10024 (1992),
-    table 1.
+    Universal force field, table 1 of Rappe, Casewit, Colwell, Goddard, Skiff, JACS 114:10024 (1992).
     """
     with (Path(__file__).parent / "data" / "uff.csv").open(newline="") as file:
         rows = list(csv.reader(file))[1:]
@@ -68,10 +67,10 @@ def create_system(
     reload: Callable[[], app.ForceField],
     pairs: dict[str, Any],
 ) -> openmm.System:
-    """Create the System of a structure with obstacles, those without parameters by element."""
-    # Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
-    # left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
-    # ``createSystem`` on the cutoff.
+    """Create the System of a structure with obstacles, by element if they have no parameters."""
+    # Atoms near bonds between the protein and obstacles do not repel one another. The force field remains
+    # unchanged: ``reload`` returns a new one, which receives templates. ``pairs`` are the arguments of
+    # ``createSystem`` for the cutoff.
     bound_ligands = (*structure.ligands, *structure.fragments)
     sugars = structure.glycans
     ions = _ions(structure, force_field)
@@ -110,7 +109,7 @@ def create_system(
 
 
 def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
-    """Template of each ion of one atom, of its element and charge; empty where the force field has none."""
+    """Template of each monatomic ion, by element and charge, or an empty name if there is none."""
     names = {
         (atom.element, round(atom.parameters.get("charge", 0.0))): template.name
         for template in reversed(force_field._templates.values())
@@ -129,8 +128,8 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 def _match_residues(
     force_field: app.ForceField, structure: Structure, small: Iterable[int], ligand_residues: set[int]
 ) -> tuple[app.Topology, list[int]]:
-    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
-    # Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
+    """Topology for the force field, without bonds unknown to it, and indices of unknown obstacles."""
+    # Residues of ``small`` and ``ligand_residues`` have other parameters. The latter are bonded to others.
     residue = structure.atom_residue
     atoms = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
@@ -145,15 +144,15 @@ def _match_residues(
         if not unmatched - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= unmatched
-        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
+        # Radii of hydrogens depend on their bonded atom. Other bonds would only add constants.
         has_hydrogen = (structure.atom_element[bonds] == "H").any(axis=1)
-        # Beyond a nucleotide without parameters, the strand goes on.
+        # The strand continues beyond a nucleotide without parameters.
         continues_strand = structure.mobile[bonds].sum(axis=1) == 1
         bonds = bonds[has_hydrogen | continues_strand | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
 
 
 def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None:
-    """Refuse a molecule that moves and has no parameters: nothing would hold it together."""
+    """Refuse a moving molecule without parameters, because it would fall apart."""
     free = {*structure.atom_residue[structure.mobile].tolist()} & {*unknown}
     if free:
         raise ForceFieldError(
@@ -163,7 +162,7 @@ def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None
 
 
 def _refuse_without_glycam(structure: Structure, force_field: app.ForceField) -> None:
-    """Refuse glycans that move where the force field is none that GLYCAM goes with."""
+    """Refuse moving glycans if the force field is not compatible with GLYCAM."""
     missing = [r for r, code in structure.glycans.items() if code not in force_field._templates]
     if missing:
         raise ForceFieldError(
@@ -173,13 +172,13 @@ def _refuse_without_glycam(structure: Structure, force_field: app.ForceField) ->
 
 
 def _refuse_unbonded(structure: Structure, system: openmm.System) -> None:
-    """Refuse a molecule that moves and has a bond without a term, which OpenMM leaves out silently."""
+    """Refuse a moving molecule with a bond that has no term. OpenMM omits such bonds silently."""
     pairs = {tuple(sorted(system.getConstraintParameters(k)[:2])) for k in range(system.getNumConstraints())}
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             pairs |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
     bonds = structure.bonds
-    # Springs hold what is bonded to an obstacle.
+    # Springs replace the bonds to obstacles.
     is_mobile = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
     for i, j in bonds[is_mobile & ~structure.coordination].tolist():
         if (i, j) not in pairs:
@@ -190,7 +189,7 @@ def _refuse_unbonded(structure: Structure, system: openmm.System) -> None:
 
 
 def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.Topology:
-    """Topology with these bonds, of all atoms or of some; the id of a residue is its index."""
+    """Topology of all or selected atoms with the given bonds. The id of a residue is its index."""
     topology = app.Topology()
     atoms: dict[int, app.topology.Atom] = {}
     for chain in structure.topology.chains():
@@ -209,7 +208,7 @@ def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.To
 
 
 def _element_template(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
-    """Add the template of an unknown molecule to a force field; return its name."""
+    """Add the template of an unknown molecule to a force field and return its name."""
     types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
     charges = _nucleic_charges(force_field, structure, residue) or _charges(structure, residue)
     for a in residue.atoms():
@@ -225,8 +224,8 @@ def _element_type(a: Any, charge: float) -> tuple[tuple[str, float], "_Kind"]:
 
 
 def _charges(structure: Structure, residue: Any) -> dict[int, float]:
-    """Formal charges of the atoms of a residue; in clusters, what the anions leave to the metals."""
-    # Whole charges of ions at covalent distances would tear at their surroundings: computed ones of iron and
+    """Formal charges of a residue's atoms. In clusters the metals have the sum of all charges."""
+    # Whole charges at covalent distances would distort the surroundings. Computed charges of iron and
     # sulphide are some tenths.
     charges = {a.index: float(structure.formal_charge[a.index]) for a in residue.atoms()}
     metals = [a.index for a in residue.atoms() if is_metal(a.element.symbol) and charges[a.index] > 0.0]
@@ -239,12 +238,12 @@ def _charges(structure: Structure, residue: Any) -> dict[int, float]:
 
 
 _ALONG = ("P", "O3'"), ("O3'", "P")
-"""Atoms that join nucleotides: of one, and of its neighbour."""
+"""Atoms that join nucleotides: of a nucleotide, and of its neighbour."""
 
 
 def _nucleic_charges(force_field: app.ForceField, structure: Structure, residue: Any) -> dict[int, float]:
-    """Charges of a nucleotide of a strand, whose ends have no whole ones; none without a template."""
-    # What missing atoms and hydrogens would have is spread over the others: the sum is that of the template.
+    """Charges of a nucleotide in a strand, empty without a template. Ends do not have whole charges."""
+    # The charge of missing atoms is spread over the other atoms, so the sum equals the template's.
     index = {a.name: a.index for a in residue.atoms()}
     pairs = ((index[a], b, k) for a, b in _ALONG if a in index for k in structure.neighbours[index[a]])
     junctions = {b for i, b, k in pairs if structure.atom_name[k] == b and k not in index.values()}
@@ -268,7 +267,7 @@ def _add_template(
     types: Mapping[int, tuple[str, float]],
     kinds: Mapping[str, "_Kind"],
 ) -> str:
-    """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
+    """Add a residue's template, with type and charge of each atom, and the types. Return its name."""
     for kind, data in kinds.items():
         if kind not in force_field._atomTypes:
             mass = app.Element.getBySymbol(data.symbol).mass._value
@@ -282,7 +281,7 @@ def _add_template(
         template.addBondByName(*(f"{a.index}" for a in bond))
     for bond in residue.external_bonds():
         template.addExternalBondByName(f"{next(a.index for a in bond if a.residue is residue)}")
-    # Not registered: it is for this residue only, and may be bonded as another that has a template.
+    # Not registered: it applies to this residue only, and another template may have the same bonds.
     force_field._templates[template.name] = template
     return str(template.name)
 
@@ -297,7 +296,7 @@ class _Kind(NamedTuple):
 
 
 def _add_pairs(force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
-    """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
+    """Add nonbonded parameters in the form of the force field, with or without a table of pairs."""
     generators = {type(generator).__name__: generator for generator in force_field.getGenerators()}
     nonbonded, table = (generators.get(name) for name in ("NonbondedGenerator", "LennardJonesGenerator"))
     for kind, data in kinds.items():
@@ -310,7 +309,7 @@ def _add_pairs(force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
 
 
 def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
-    """Scale pairs of ligands three bonds apart as theirs are."""
+    """Scale pairs three bonds apart in ligands by the factors of the ligands' force field."""
     owner = {int(k): (bound.ligand.parameters, i) for bound in ligands for i, k in enumerate(bound.atoms)}
     nonbonded = _force(system, openmm.NonbondedForce)
     for k in range(nonbonded.getNumExceptions()):
@@ -321,7 +320,7 @@ def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
             sigma = 0.5 * (parameters.sigma[a] + parameters.sigma[b])
             depth = parameters.scale_lj * np.sqrt(parameters.epsilon[a] * parameters.epsilon[b])
             nonbonded.setExceptionParameters(k, i, j, charges, sigma, depth if epsilon._value else 0.0)
-    # Of a force field with a table of pairs, Lennard-Jones of pairs three bonds apart is a force of its own.
+    # With a table of pairs, Lennard-Jones of pairs three bonds apart is a separate force.
     for force in system.getForces():
         if isinstance(force, openmm.CustomBondForce) and force.getNumPerBondParameters() == 2:
             for k in range(force.getNumBonds()):
@@ -333,12 +332,12 @@ def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
 
 
 def _is_cap(bound: BoundLigand, i: int) -> bool:
-    """Whether an atom of a fragment stands for one of a neighbour in the chain."""
+    """Whether an atom of a fragment represents an atom of a neighbour in the chain."""
     return bool(bound.core) and bound.ligand.molecule.names[i][-1] in "+-"
 
 
 def _ligand_atoms(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
-    """Atoms of a fragment, by those of the structure, in each of its residues."""
+    """For each residue of a ligand or fragment, its atoms' indices by atom of the structure."""
     atoms_by_residue: dict[int, dict[int, int]] = {}
     for i, k in enumerate(bound.atoms.tolist()):
         if k >= 0 and not _is_cap(bound, i):
@@ -353,10 +352,10 @@ def _register_templates(
     bound: BoundLigand,
     places: Mapping[int, Mapping[int, int]],
 ) -> dict[Any, str]:
-    """Add templates of a ligand's or fragment's residues to a force field; return their names by residue."""
-    # Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
-    # C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
-    # charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
+    """Add templates of a ligand's or fragment's residues to a force field, and return their names."""
+    # Backbones have alanine's types and charges, a nitrogen without hydrogen proline's charge. C-beta has
+    # alanine's type. Other charges are from the capped molecule, plus an equal share of the missing charge.
+    # Residues whose atoms all belong to the core use the force field's template.
     parameters, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
     core = bound.core or ("",) * len(bound.atoms)
     excess = sum(_excess(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
@@ -365,7 +364,7 @@ def _register_templates(
     core_types = {r: _core_types(force_field, residues[r], core, place) for r, place in places.items()}
     fixed = {k: charge for row in core_types.values() for k, (_, charge) in row.items() if charge is not None}
     charge = {k: fixed.get(k, float(parameters.charge[i])) for k, i in index.items()}
-    if bound.core:  # A ligand has the charge that it has.
+    if bound.core:  # The charges of a ligand are complete.
         free = [k for k in index if k not in fixed]
         missing = (int(formal[[*index.values()]].sum()) + excess - sum(charge.values())) / len(free)
         charge |= {k: charge[k] + missing for k in free}
@@ -373,7 +372,7 @@ def _register_templates(
     for r, place in places.items():
         types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
         for a in residues[r].atoms():
-            if (k := a.index) not in place:  # A metal beside the molecule.
+            if (k := a.index) not in place:  # A metal outside the molecule.
                 types[k], kind = _element_type(a, float(structure.formal_charge[k]))
                 kinds[types[k][0]] = kind
                 continue
@@ -388,7 +387,7 @@ def _register_templates(
 
 
 def _excess(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> float:
-    """Charge that a nucleotide at an end of a strand has beyond a whole one; the other end lacks it."""
+    """Excess over a whole charge of a nucleotide at the end of a strand. The other end compensates it."""
     kind = next(
         (name.partition("/")[0].removeprefix(PHOSPHATE_END).rstrip("35N") for name in core if "/" in name), ""
     )
@@ -405,8 +404,8 @@ def _excess(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> f
 def _core_types(
     force_field: app.ForceField, residue: Any, core_names: Sequence[str], place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
-    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide."""
-    # C-beta has no charge, nor what bears a modified base.
+    """Types and charges of a residue's core atoms, from alanine, glycine or a nucleotide."""
+    # The charges of C-beta and of the sugar atoms at a modified base are None.
     core = {core_names[i].rpartition("/")[2]: k for k, i in place.items() if core_names[i]}
     if not core:
         return {}
@@ -428,7 +427,7 @@ def _core_types(
 
 
 def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
-    """Add the bonded terms of a molecule that touch its own atoms, in place of the force field's."""
+    """Add the molecule's bonded terms that include its own atoms, in place of the force field's."""
     terms, ids = bound.ligand.parameters, bound.atoms
     core = bound.core or ("",) * len(ids)
     inner = {k for i, k in enumerate(ids.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
@@ -436,7 +435,7 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
     torsions = _force(system, openmm.PeriodicTorsionForce)
     for k in range(torsions.getNumTorsions() if bound.core else 0):
         *atoms, n, phase, _ = torsions.getTorsionParameters(k)
-        if inner & {*atoms}:  # By a rule for any atoms about a bond.
+        if inner & {*atoms}:  # From a wildcard rule of the force field.
             torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
     for term, add in (
         (terms.bonds, bonds.addBond),
@@ -455,7 +454,7 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
-    """The first force of a kind, added if there is none."""
+    """Return the first force of a kind, added if necessary."""
     for force in system.getForces():
         if isinstance(force, kind):
             return force
@@ -464,7 +463,7 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
 
 
 def _linked_atoms(structure: Structure) -> dict[int, set[int]]:
-    """Residues of the protein without hydrogens where a bond joins them to others, and these atoms."""
+    """Atoms by residue of the protein that have a bond to a hetero atom in place of a hydrogen."""
     atoms: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
@@ -480,14 +479,14 @@ def _linked_atoms(structure: Structure) -> dict[int, set[int]]:
 
 
 def _glycam_name(residue: Any) -> str:
-    """GLYCAM's name of a residue that bears a sugar: ``NLN``; at the ends of a chain ``NNLN``, ``CNLN``."""
+    """GLYCAM's name of a glycosylated residue: ``NLN``, at the ends of a chain ``NNLN``, ``CNLN``."""
     names = {a.name for a in residue.atoms()}
     return ("C" if "OXT" in names else "N" if "H2" in names else "") + GLYCOSYLATED[residue.name]
 
 
 def _linked_template(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
-    """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name."""
-    # The charge of a hydrogen goes to the atom that had it.
+    """Add the template of a residue with bonds in place of some hydrogens, and return its name."""
+    # The charge of a removed hydrogen moves to its parent atom.
     atoms = {a.name: a for a in residue.atoms() if a.element.symbol != "H"}
     links = {a.name for a in atoms.values() if a.index in set(linked)}
     count = dict.fromkeys(atoms, 0)
@@ -506,7 +505,7 @@ def _linked_template(force_field: app.ForceField, residue: Any, linked: Iterable
             f"residue {residue.name} is bonded to a molecule kept with the protein, and the force field "
             "has no template for it; leave the molecule out: keep none, or the names of others"
         )
-    # CYS before CYM: the bond takes the place of the hydrogen.
+    # CYS before CYM: the bond replaces the hydrogen.
     base = max(candidates, key=lambda pair: pair[0])[1]
     variant = _remove_hydrogens(base, count)
     if residue.name == "HIS" and links == {"NE2"}:
@@ -533,7 +532,7 @@ def _hydrogens(template: Any) -> dict[str, int]:
 
 
 def _remove_hydrogens(base: Any, count: Mapping[str, int]) -> Any:
-    """Copy of a template with as many hydrogens on each heavy atom as it is to have, and no outer bonds."""
+    """Copy a template with a given number of hydrogens on each heavy atom, and no external bonds."""
     owner: dict[int, int] = {}
     for i, a in enumerate(base.atoms):
         if a.name in count:
@@ -556,7 +555,7 @@ def _remove_hydrogens(base: Any, count: Mapping[str, int]) -> Any:
 
 
 def _excluded_pairs(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
-    """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
+    """Pairs near bonds to obstacles, and close pairs of obstacles without parameters."""
     n, bonds, is_hetero, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
     across = (is_hetero[bonds[:, 0]] != is_hetero[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
     across |= np.diff(structure.obstacle[bonds]).ravel() | structure.coordination
@@ -575,7 +574,7 @@ def _excluded_pairs(structure: Structure, by_element: np.ndarray) -> set[tuple[i
 
 
 def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
-    """Leave pairs out of all Lennard-Jones and Coulomb forces."""
+    """Exclude pairs from all Lennard-Jones and Coulomb forces."""
     pairs = sorted(pairs)
     for force in system.getForces():
         if isinstance(force, openmm.NonbondedForce):
@@ -587,7 +586,7 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
                 if (i, j) not in old:
                     force.addExclusion(i, j)
         elif isinstance(force, openmm.CustomBondForce):
-            # Scaled pairs of CHARMM that have become excluded.
+            # CHARMM's scaled pairs that are now excluded.
             for k in range(force.getNumBonds()):
                 i, j, values = force.getBondParameters(k)
                 if (min(i, j), max(i, j)) in set(pairs):
@@ -595,8 +594,8 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
 
 
 def _share_charges(system: openmm.System, structure: Structure) -> None:
-    """Move charge from metals to the donors that hold them, as bonded models do; the sum stays the same."""
-    # With the charges of a free ion, the solvent model would drive a site apart whose atoms, being bonded, do
+    """Move charge from metals to their donors, as bonded models do, with the same sum."""
+    # With the charges of a free ion, the solvent model would separate the atoms of a site. Bonded atoms do
     # not attract one another directly.
     donors: dict[int, list[int]] = {}
     for tie in structure.ties:

@@ -56,8 +56,8 @@ from protochain.structure.molecule.templates import (
 from protochain.structure.preparation.glycans import parameters
 
 DATA = Path(app.__file__).parent / "data"
-"""Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
-where a file of that name could run code."""
+"""Files bundled with OpenMM, by full path. OpenMM first searches the working directory for a bare name, and a
+file with that name could run code."""
 
 FORCE_FIELDS = {
     "amber14": "amber14/protein.ff14SB.xml",
@@ -66,7 +66,7 @@ FORCE_FIELDS = {
     "amber99sbildn": "amber99sbildn.xml",
     "charmm36": "charmm36.xml",
 }
-"""Short names of force fields bundled with OpenMM; any other name is a file."""
+"""Short names of force fields bundled with OpenMM. Any other name is a file."""
 
 SOLVENTS = ("vacuum", "obc2", "gbn2")
 
@@ -77,41 +77,41 @@ _HETERO_FILES = {
     "amber99sbildn": ("tip3p.xml",),
     "charmm36": ("charmm36/water.xml",),
 }
-"""Parameters of waters, ions and nucleic acids, used where molecules are kept with the protein; of others,
-as of those that a force field does not know, by element."""
+"""Parameters of waters, ions and nucleic acids, for structures with hetero molecules. Other molecules without
+parameters get them by element."""
 
 ENGINES = ("auto", "native", "openmm")
 DEVICES = ("auto", "cpu", *PLATFORMS)
 
 NONBONDED = " (nonbonded)"
-"""Behind the name of a force field without its dihedrals."""
+"""Suffix of the name of a force field without its dihedrals."""
 TERMS = ("all", "nonbonded")
-"""Terms of a force field that count. ``nonbonded``: pairs of atoms, and what holds rings closed (bonds and
-angles); no dihedrals, impropers or CMAP, as where rigid peptide planes only attract and repel each other."""
+"""Terms of a force field in use. ``nonbonded``: pairs of atoms, and bonds and angles to close rings. It omits
+dihedrals, impropers and CMAP, for rigid peptide planes that only attract and repel each other."""
 
 
 _FUNCTION = {"forcefield", "solvent", "terms", "cutoff", "system"}
-"""Arguments of an energy that say which function it is; the others say how it is computed."""
+"""Arguments that define the energy function. The others define how it is computed."""
 
 
 def has_energy(source: Any) -> bool:
-    """Whether something brings an energy, as results do."""
+    """Whether an object has an energy, as results do."""
     return getattr(source, "energy_function", None) is not None
 
 
 def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[str, Any]) -> Energy:
-    """Energy of a source: its own, if it has one, in which what is named is replaced."""
+    """Return the energy of a source, if it has one, with the named arguments replaced."""
     if not has_energy(source):
         return build(source, **arguments)
     source_energy: Energy = source.energy_function
     settings = dict(getattr(source_energy, "settings", {}))
     is_another = bool(arguments.keys() & _FUNCTION)
-    if not arguments or not (settings or is_another):  # A callable is computed in one way only.
+    if not arguments or not (settings or is_another):  # A callable has no options.
         return source_energy
     if not source_energy.atoms and not is_another:
         settings["system"] = source_energy.system
     if "forcefield" in arguments:
-        settings.pop("trust_forcefield", None)  # Another file is not trusted with the first.
+        settings.pop("trust_forcefield", None)  # Trust in one file does not extend to another.
     return build(source, **(settings | arguments))
 
 
@@ -141,43 +141,43 @@ def energy(
 
     Parameters
     ----------
-    structure : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure whose energy to build. A result brings its own, as to all calls: what is not named here
-        stays as it was there.
+    structure : Structure, path, or any input of :func:`protochain.as_structure`
+        Structure whose energy to build. A result has its own energy, as in all calls: arguments that are not
+        named here remain unchanged.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
-        name of an XML file bundled with OpenMM, or the path of an XML file; or several of them with commas
-        between, as ``amber14,ligand.xml``.
+        name of an XML file bundled with OpenMM, or the path of an XML file. Several are separated by commas,
+        as ``amber14,ligand.xml``.
     solvent : str
         ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
         Simmerling, J. Chem. Theory Comput. 9:2020, 2013).
     engine : str
         ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
-        ``auto``: native if it supports every force, otherwise openmm; ``reason`` of the energy says why.
+        ``auto``: native if it supports every force, otherwise openmm. ``reason`` of the energy explains it.
     device : str
-        ``cpu``, or ``cuda``, ``hip`` or ``opencl``: a platform of OpenMM in mixed precision, while the
-        engine judges and ends what it has begun. ``auto``: of CUDA and HIP the one that is there, from 5,000
-        atoms, unless the engine is ``native``. What a device cannot do the processor does, as a
-        ``DeviceWarning`` and ``reason`` say.
+        ``cpu``, or ``cuda``, ``hip`` or ``opencl``: an OpenMM platform in mixed precision. The engine then
+        judges the end and completes the run. ``auto``: CUDA or HIP, if present, from 5,000 atoms, unless the
+        engine is ``native``. The processor computes if a device fails. A ``DeviceWarning`` and ``reason``
+        report it.
     cutoff : float, "auto" or None, optional
-        Distance in nm up to which pairs of atoms act on each other; None for all, one by one unless
-        ``accuracy`` is a number. ``auto``: all; but where no tree sums them, in a solvent for more than
-        20,000 atoms, 2 nm. ``reason`` of the energy then says by how much forces differ. In vacuum, where
-        charges are not screened, no distance will do. Below 0.5 nm, where atoms that touch would not act on
-        each other, none is taken.
+        Distance in nm up to which pairs of atoms interact. None: all pairs, one by one unless ``accuracy``
+        is a number. ``auto``: all pairs, but 2 nm in a solvent for more than 20,000 atoms if no tree sums
+        them. ``reason`` of the energy then reports the error of the forces. In vacuum charges are not
+        screened, so no distance is accurate. Values below 0.5 nm are refused, because atoms in contact would
+        not interact.
     accuracy : float, "auto" or "exact", optional
-        RMS error of the forces in kJ/mol/nm up to which the native engine may sum far pairs by a tree, in
-        a time that grows as the number of atoms. It is measured against the sum over all pairs, and told
-        by ``reason``. ``exact``: all pairs one by one. ``auto``: 1e-3 where that is quicker, by size.
+        Largest RMS error of the forces in kJ/mol/nm for which the native engine may sum far pairs by a tree.
+        Its time grows as the number of atoms. The error is measured against the sum over all pairs and is in
+        ``reason``. ``exact``: all pairs one by one. ``auto``: 1e-3 for sizes at which a tree is quicker.
     system : openmm.System, optional
-        System to use instead of building one; copied, so that later changes do not affect a run.
+        System to use instead of building one. It is copied, so that later changes do not affect a run.
     threads : int, optional
-        Number of threads; all by default.
+        Number of threads, all by default.
     trust_forcefield : bool
         Allow a force-field file to run its Python scripts and to include other files.
     terms : str
-        ``all``, or ``nonbonded``: electrostatics, van der Waals and the solvent alone, for methods that only
-        turn hinges, as Kazerounian, Latif, Alvarado, J. Mech. Des. 127:699 (2005), have it.
+        ``all``, or ``nonbonded``: only electrostatics, van der Waals and the solvent, for methods that only
+        turn hinges, as in Kazerounian, Latif, Alvarado, J. Mech. Des. 127:699 (2005).
 
     Returns
     -------
@@ -189,7 +189,7 @@ def energy(
     ForceFieldError
         If a name is unknown, the file would run code, or a residue has no parameters.
     UnsupportedForceError
-        If the engine is ``native`` and has no exact kernel for a force, which is named.
+        If the engine is ``native`` and has no exact kernel for a force.
 
     Examples
     --------
@@ -234,7 +234,7 @@ def energy(
     potential = choose_engine(engine, reference)
     if device != "cpu":
         return DeviceEnergy(potential, reference, device, None if accuracy == "exact" else float(accuracy))
-    # What the native engine cannot do, OpenMM does by its own rule.
+    # If the native engine does not support a force, OpenMM computes the energy by its own rule.
     fallback = _rule_of("openmm", solvent, structure.n_atoms)
     if is_free and system is None and not isinstance(potential, NativeEnergy) and fallback.cutoff != cutoff:
         settings |= {"device": "cpu", "cutoff": fallback.cutoff}
@@ -252,7 +252,7 @@ class _Rule(NamedTuple):
 
     engine: str  # ``native``, or ``any``.
     in_solvent: bool
-    fewest: Callable[[], int]  # Atoms from which the rule holds.
+    fewest: Callable[[], int]  # Smallest number of atoms.
     accuracy: float | Literal["exact"]
     cutoff: float | None  # nm.
 
@@ -262,10 +262,10 @@ _RULES = (
     _Rule("native", True, lambda: defaults.TREE_FROM, defaults.TREE_ACCURACY, None),
     _Rule("any", True, lambda: defaults.FULL_UP_TO + 1, "exact", defaults.LONG_CUTOFF),
 )
-"""What is done if neither an accuracy nor a cutoff is given: the first rule that holds."""
+"""Rules if neither an accuracy nor a cutoff is given. The first that applies is used."""
 _EXACT = _Rule("any", True, lambda: 0, "exact", None)
-"""All pairs one by one, if no rule holds. ``auto`` takes the native engine if it supports every force, and a
-device of OpenMM from ``defaults.DEVICE_FROM`` atoms on (:func:`protochain.energies.on_device.chosen`)."""
+"""All pairs one by one, if no rule applies. ``auto`` uses the native engine if it supports every force, or an
+OpenMM device from ``defaults.DEVICE_FROM`` atoms (:func:`protochain.energies.on_device.choose_device`)."""
 
 
 def _rule_of(engine: str, solvent: str, n_atoms: int) -> _Rule:
@@ -278,7 +278,7 @@ def _rule_of(engine: str, solvent: str, n_atoms: int) -> _Rule:
 
 
 _MEASURED_UP_TO = 100_000
-"""Atoms up to which the error of a cutoff is measured, by one sum over all pairs: half a minute."""
+"""Largest number of atoms for which one sum over all pairs (half a minute) measures the error of a cutoff."""
 
 
 def build_system(
@@ -288,7 +288,7 @@ def build_system(
     trust_forcefield: bool = False,
     cutoff: float | None = None,
 ) -> openmm.System:
-    """Build the OpenMM System of a structure as the files of the force field define it.
+    """Build the OpenMM System of a structure from the files of the force field.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def build_system(
     trust_forcefield : bool
         As for :func:`energy`.
     cutoff : float, optional
-        As for :func:`energy`; none by default.
+        As for :func:`energy`, none by default.
 
     Returns
     -------
@@ -334,7 +334,7 @@ def build_system(
     if solvent == "gbn2":
         files.append(str(DATA / "implicit/gbn2.xml"))
     try:
-        # A user's file may change between calls, and a trusted one may raise anything.
+        # A user's file may change between calls, and a trusted file may raise any exception.
         force_field = _force_field(*files) if None in bundled else _bundled_force_field(*files)
         if structure.kept.any() or structure.fragments:
             system = create_system(structure, force_field, lambda: _force_field(*files), pairs)
@@ -368,7 +368,7 @@ def _phosphorylated_names(structure: Structure) -> set[str]:
 
 
 def _phosphate_files(structure: Structure, parts: Sequence[str]) -> list[str]:
-    """Files with the parameters of phosphorylated residues, if it has any that the user's files lack."""
+    """Files with the parameters of phosphorylated residues that the user's files do not define."""
     names = _phosphorylated_names(structure)
     if not names:
         return []
@@ -378,7 +378,7 @@ def _phosphate_files(structure: Structure, parts: Sequence[str]) -> list[str]:
 
 
 def _number_types(system: openmm.System) -> None:
-    """Number the types of a table of pairs in the order of the atoms, not of OpenMM's unordered set."""
+    """Number the types of a table of pairs in the order of the atoms, because OpenMM's set is unordered."""
     for force in system.getForces():
         if not isinstance(force, openmm.CustomNonbondedForce) or force.getName() != _TABULATED:
             continue
@@ -393,11 +393,11 @@ def _number_types(system: openmm.System) -> None:
 
 
 _TABULATED = "LennardJones"
-"""Name of the force that OpenMM makes of a table of pairs."""
+"""Name of OpenMM's force with a table of pairs."""
 
 
 def choose_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
-    """Choose the engine; ``auto`` falls back on OpenMM and notes why."""
+    """Choose the engine. ``auto`` falls back on OpenMM and records the reason."""
     if engine == "openmm":
         return by_openmm
     try:
@@ -417,19 +417,19 @@ _bundled_force_field = cache(_force_field)
 
 
 def _bundled_file(name: str) -> str | None:
-    """Full path of a file bundled with OpenMM; None for a user's file."""
+    """Full path of a file bundled with OpenMM, or None for a user's file."""
     path = (DATA / FORCE_FIELDS.get(name, name)).resolve()
     bundled = name in FORCE_FIELDS or (path.is_relative_to(DATA.resolve()) and not Path(name).exists())
     return str(path) if bundled and path.is_file() else None
 
 
 def checked_files(parts: Sequence[str], trusted: bool) -> list[str | bytes]:
-    """What OpenMM is to read of a force field, by the names of its parts."""
+    """Files or contents that OpenMM reads for the parts of a force field."""
     return [_bundled_file(part) or _checked_file(Path(part), trusted) for part in parts]
 
 
 def _checked_file(path: Path, trusted: bool) -> str | bytes:
-    """What OpenMM is to read: the bytes checked, or the path of a trusted file, which may include others."""
+    """Checked bytes for OpenMM to read, or the path of a trusted file, which may include others."""
     try:
         content = regular(path).read_bytes()
         root = ElementTree.fromstring(content)
@@ -448,7 +448,7 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
 
 
 def lacks_dihedrals(system: Any) -> bool:
-    """Whether it is a System without a force that depends on dihedrals."""
+    """Whether a value is a System without dihedral forces."""
     return isinstance(system, openmm.System) and not _torsion_forces(system)
 
 
@@ -464,8 +464,8 @@ def _remove_torsions(system: openmm.System) -> None:
 def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None) -> None:
     """Add OBC2 as GBSAOBCForce, with the charges of the System and the radii of ``implicit/obc2.xml``.
 
-    That builds a CustomGBForce by a script, which takes a third of the time of a System. Energies are equal
-    (to 1e-8; asserted in the tests), and OpenMM's CPU platform is several times faster with this one.
+    That file builds a CustomGBForce by a script, in a third of the time of a System. Energies are equal to
+    1e-8, as a test asserts. OpenMM's CPU platform is several times faster with GBSAOBCForce.
     """
     nonbonded = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
     if len(nonbonded) != 1:

@@ -1,4 +1,4 @@
-"""Energies on a device: OpenMM's CUDA, HIP and OpenCL platforms, and the processor where one fails."""
+"""Energies on a device: OpenMM's CUDA, HIP and OpenCL platforms, and the processor if one fails."""
 
 import copy
 import os
@@ -22,20 +22,20 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
 PLATFORMS = {"cuda": "CUDA", "hip": "HIP", "opencl": "OpenCL"}
-"""Devices and their platforms of OpenMM."""
+"""Devices and their OpenMM platforms."""
 
 _OFTEN_A_PROCESSOR = "opencl"
-"""Device that ``auto`` does not choose, for pocl runs OpenCL on the processor, slower than our kernels; and
-where OpenMM's minimiser does not run, which pocl 3.1 cannot compile: it ends the process."""
+"""Device that ``auto`` does not choose, because pocl runs OpenCL on the processor, slower than our kernels.
+OpenMM's minimiser does not run there, because pocl 3.1 cannot compile it and ends the process."""
 
 _SPRING = "0.5*held*k*((x-x0)^2+(y-y0)^2+(z-z0)^2)"
 LOCKS = Path(tempfile.gettempdir())
-"""Folder of the locks by which processes see that another computes on a device."""
+"""Folder of the locks by which processes detect that another process uses a device."""
 _VISIBLE = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES")
 
 
 class DeviceError(Exception):
-    """Why a device does not compute, in one line."""
+    """Reason for which a device does not compute, in one line."""
 
 
 class Springs(Protocol):
@@ -51,7 +51,7 @@ class Springs(Protocol):
 
 
 def choose_device(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM) -> str:
-    """Device that computes an energy of so many atoms; of ``auto`` a GPU, if there is one and it pays."""
+    """Device for an energy of a number of atoms. ``auto`` is a GPU if there is one and it is faster."""
     if device != "auto":
         return device
     usable = (name for name in PLATFORMS if name != _OFTEN_A_PROCESSOR and name in _loaded_devices())
@@ -59,12 +59,12 @@ def choose_device(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM)
 
 
 def devices() -> list[str]:
-    """What there is of each device that OpenMM knows.
+    """List the devices that OpenMM supports.
 
     Returns
     -------
     list of str
-        A line each, which begins with its name: versions and hardware, or ``none`` and why.
+        A line per device. It starts with the name, then versions and hardware, or ``none`` and the reason.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def devices() -> list[str]:
             gpu = openmm.Platform.getPlatform(platform)
             try:
                 names = [dict(properties).get("DeviceName", "") for properties in gpu.getDevices()]
-            except (AttributeError, openmm.OpenMMException) as error:  # Of older versions; without a driver.
+            except (AttributeError, openmm.OpenMMException) as error:  # Older versions, or no driver.
                 names = [f"its devices are not known ({_line(error)})"]
             lines.append(f"{device}: {', '.join(filter(None, [f'OpenMM {gpu.getOpenMMVersion()}', *names]))}")
         else:
@@ -104,15 +104,15 @@ def _lock(name: str, folder: Path, process: int) -> Any:
 
 
 def prepare_energy(energy: Energy, x: Floats) -> Energy:
-    """The energy as a run from x (na, 3), nm, evaluates it: the processor's where a device cannot."""
+    """The energy that a run from x (na, 3), nm, evaluates: on the processor if a device fails."""
     return energy.prepare(x) if isinstance(energy, DeviceEnergy) else energy
 
 
 class DeviceEnergy(OpenMMEnergy):
-    """Energy of an OpenMM System on a device, in mixed precision; on the processor once the device fails.
+    """Energy of an OpenMM System on a device, in mixed precision, and on the processor after it fails.
 
-    processor: The same energy there, which judges, and goes on where single precision ends.
-    accuracy: Of its far pairs where it computes in place of the device.
+    processor: The same energy on the processor. It judges ends and continues beyond single precision.
+    accuracy: Accuracy of the processor's far pairs after the device fails.
     """
 
     def __init__(
@@ -122,17 +122,17 @@ class DeviceEnergy(OpenMMEnergy):
         self.processor, self.by_openmm, self.accuracy = processor, by_openmm, accuracy
         self.device, self.threads = device, by_openmm.threads
         self._current: tuple[Integers, openmm.Context] | None = None
-        """Atoms that are fixed beside those without mass, and the context."""
+        """Fixed atoms that have mass, and the context."""
         self._active_springs: Springs | None = None
         self.failed = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Made anew: contexts cannot be pickled."""
+        """Rebuild the energy, because contexts cannot be pickled."""
         return DeviceEnergy, (self.processor, self.by_openmm, self.device, self.accuracy)
 
     @property
     def reason(self) -> str:
-        """Platform and precision, and why the processor computes, if it does."""
+        """Platform and precision, or the reason of the processor's energy after a failure."""
         if self.failed:
             return self.processor.reason
         text = f"OpenMM {self.platform} platform, mixed precision"
@@ -140,22 +140,22 @@ class DeviceEnergy(OpenMMEnergy):
 
     @property
     def exact(self) -> Energy:
-        """The same energy by the processor, in double precision, all pairs one by one."""
+        """The same energy by the processor, in double precision, with all pairs one by one."""
         return self.processor.exact
 
     @property
     def terms(self) -> Terms:
-        """Terms as arrays; none where the native engine does not know them."""
+        """Terms of the energy as arrays, if the native engine supports them."""
         processor: Any = self.processor
         return processor.terms
 
     @property
     def minimises(self) -> bool:
-        """Whether OpenMM's own minimiser runs there."""
+        """Whether OpenMM's minimiser runs on the device."""
         return self.device != _OFTEN_A_PROCESSOR and not self.failed
 
     def prepare(self, x: Floats) -> Energy:
-        """The energy as a run from x (na, 3), nm, evaluates it: itself, or the processor's if it fails."""
+        """The energy that a run from x (na, 3), nm, evaluates: itself, or the processor's if it fails."""
         try:
             if not self.failed:
                 self._context_of(None)
@@ -165,26 +165,26 @@ class DeviceEnergy(OpenMMEnergy):
 
     @cached_property
     def _massive(self) -> NDArray[np.bool_]:
-        """(na,) bool: obstacles have no mass."""
+        """(na,) bool: atoms with mass. Obstacles have none."""
         system = self.system
         return np.array([system.getParticleMass(k)._value > 0 for k in range(system.getNumParticles())])
 
     def _context_of(self, moving: NDArray[np.bool_] | None) -> openmm.Context:
-        """Context in which atoms (na,) may move; None: any."""
+        """Context in which atoms (na,) may move. None means any atoms."""
         fixed = None if moving is None else np.flatnonzero(~moving & self._massive)
         if self._current is not None and (fixed is None or np.array_equal(fixed, self._current[0])):
             return self._current[1]
         fixed = np.empty(0, np.int64) if fixed is None else fixed
-        self._current = self._active_springs = None  # Memory of the device holds one.
+        self._current = self._active_springs = None  # The device has memory for one context.
         visible = "-".join(filter(None, (os.environ.get(name) for name in _VISIBLE))).replace(os.sep, "_")
         try:
-            # Held until the process ends.
+            # The lock remains until the process ends.
             lock = _lock(f"{self.device}{visible}", LOCKS, os.getpid())
             if not lock.is_locked:
                 lock.acquire(timeout=0)
-        except TimeoutError:  # Of filelock.
+        except TimeoutError:  # From filelock.
             raise DeviceError("another process of protochain computes on it") from None
-        except OSError:  # Nowhere to leave a lock.
+        except OSError:  # No folder can be written.
             pass
         system = copy.deepcopy(self.system)
         for atom in fixed.tolist():
@@ -214,7 +214,7 @@ class DeviceEnergy(OpenMMEnergy):
         return self._context_of(None)
 
     def _fall_back(self, error: Exception, x: Floats) -> None:
-        """From now on the processor computes, from x (na, 3), nm, on; says so."""
+        """Switch to the processor from x (na, 3), nm, on, with a warning."""
         self.failed, self._current = f"not by {self.platform}: {_line(error)}", None
         self.by_openmm.note = f"{self.by_openmm.note}; {self.failed}".removeprefix("; ")
         if self.accuracy is not None and isinstance(self.processor, NativeEnergy):
@@ -237,9 +237,9 @@ class DeviceEnergy(OpenMMEnergy):
     def descend(
         self, x: Floats, moving: NDArray[np.bool_], springs: Springs | None, tolerance: float, n: int
     ) -> Floats | None:
-        """Positions after at most n iterations of OpenMM's minimiser from x (na, 3), nm; None if it fails.
+        """Positions after at most n iterations of OpenMM's minimiser from x (na, 3), nm, or None if it fails.
 
-        The positions stay on the device. Tolerance kJ/mol/nm, RMS over the components that may move.
+        The positions stay on the device. Tolerance is in kJ/mol/nm, RMS over the moving components.
         """
         x = floats(x, (len(moving), 3), "x", "nanometer")
         try:
@@ -251,13 +251,13 @@ class DeviceEnergy(OpenMMEnergy):
                 self._active_springs = springs
             context.setPositions(x)
             context.setParameter("held", float(springs is not None))
-            # OpenMM takes the RMS length over all atoms.
+            # OpenMM uses the RMS length over all atoms.
             lengths = tolerance * np.sqrt(3 * moving.sum() / len(moving))
             openmm.LocalEnergyMinimizer.minimize(context, lengths, n)
             context.setParameter("held", 0.0)
             positions = context.getState(positions=True).getPositions(asNumpy=True)._value
         except (DeviceError, openmm.OpenMMException) as error:
-            if "nan" not in str(error).lower():  # As where atoms coincide: ours goes on from there.
+            if "nan" not in str(error).lower():  # As for coincident atoms: our minimiser continues.
                 self._fall_back(error, x)
             return None
         return np.asarray(positions, dtype=np.float64)

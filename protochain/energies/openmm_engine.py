@@ -25,17 +25,17 @@ class OpenMMEnergy:
     Parameters
     ----------
     system : openmm.System
-        Not copied, which for thousands of atoms takes longer than to build it: nobody may change it later.
+        It is not copied: for thousands of atoms a copy is slower than a build. Do not change it later.
     platform : str
         ``CPU`` (single precision, fast) or ``Reference`` (double precision).
     threads : int or None
-        Threads of the CPU platform; None for all.
+        Threads of the CPU platform, None for all.
     forcefield, solvent, note : str
         Names for reports, and a note on how the System was built.
     atoms : str
-        ``Structure.fingerprint`` of the structure; empty if the caller gave the System.
+        ``Structure.fingerprint`` of the structure, empty if the caller provided the System.
     settings : mapping of str to Any
-        Arguments of :func:`protochain.energy` that it was built with, beside structure and System.
+        Arguments of :func:`protochain.energy` that it was built with, except structure and System.
     """
 
     engine, device = "openmm", "cpu"
@@ -63,7 +63,7 @@ class OpenMMEnergy:
         self.settings = dict(settings)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Made anew from its System: contexts cannot be pickled."""
+        """Rebuild the energy from its System, because contexts cannot be pickled."""
         return OpenMMEnergy, (self.system, self.platform, self.threads, *self._names)
 
     @property
@@ -83,11 +83,11 @@ class OpenMMEnergy:
         return self.platform == "Reference"
 
     def without_constants(self, groups: Integers, x: Floats) -> "OpenMMEnergy":
-        """Return itself: OpenMM computes all terms, also constant ones."""
+        """Return itself, because OpenMM computes all terms, including constant terms."""
         return self
 
     def list_at(self, x: Floats) -> None:
-        """Do nothing: OpenMM manages its neighbour lists itself."""
+        """Do nothing, because OpenMM manages its neighbour lists."""
 
     @cached_property
     def reference(self) -> "OpenMMEnergy":
@@ -106,7 +106,7 @@ class OpenMMEnergy:
     def make_context(
         self, system: openmm.System, integrator: openmm.Integrator | None = None
     ) -> openmm.Context:
-        """Create a Context for a System on this platform with these threads; ForceFieldError if it cannot."""
+        """Create a Context for a System on this platform, or raise ForceFieldError."""
         platform = openmm.Platform.getPlatform(self.platform)
         properties = {"Threads": str(self.threads)} if self.platform == "CPU" else {}
         try:
@@ -124,7 +124,7 @@ class OpenMMEnergy:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
 
-        Where OpenMM refuses NaN in positions or forces, the energy is infinite and the forces are NaN; the
+        If OpenMM refuses NaN in positions or forces, the energy is infinite and the forces are NaN. The
         calling loop handles that.
         """
         x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
@@ -140,11 +140,11 @@ class OpenMMEnergy:
         return float(value), np.asarray(forces, dtype=np.float64)
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Evaluate energies by force of the System, as ``HarmonicBondForce``: see :meth:`Energy.parts`."""
+        """Evaluate energies by force of the System, as ``HarmonicBondForce``. See :meth:`Energy.parts`."""
         x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
         energies: dict[str, float] = {}
         names = [force.getName() for force in self.system.getForces()]
-        # Each in a System of its own: OpenMM has only 32 groups of forces.
+        # Each force is in a separate System, because OpenMM has only 32 groups of forces.
         for k, name in enumerate(names):
             single = copy.deepcopy(self.system)
             for index in reversed(range(len(names))):
@@ -166,9 +166,9 @@ def constrain_hydrogens(system: openmm.System) -> None:
     Parameters
     ----------
     system : openmm.System
-        Changed in place.
+        System to change in place.
     """
-    # Atoms without mass are fixed, and cannot be constrained.
+    # Atoms without mass are fixed and cannot be constrained.
     light = [0.0 < system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):

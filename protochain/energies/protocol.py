@@ -18,7 +18,7 @@ class Energy(Protocol):
 
     @property
     def device(self) -> str:
-        """What it computes on: ``cpu``, or ``cuda``, ``hip`` or ``opencl`` by a platform of OpenMM."""
+        """Device in use: ``cpu``, or ``cuda``, ``hip`` or ``opencl`` by an OpenMM platform."""
 
     @property
     def reason(self) -> str:
@@ -26,11 +26,11 @@ class Energy(Protocol):
 
     @property
     def system(self) -> Any:
-        """OpenMM System that it evaluates; None for a custom energy."""
+        """OpenMM System of the energy, None for a custom energy."""
 
     @property
     def atoms(self) -> str:
-        """Fingerprint of the structure it was built for; empty if a System or callable was given."""
+        """Fingerprint of its structure, empty if the caller provided a System or a callable."""
 
     @property
     def forcefield(self) -> str:
@@ -42,7 +42,7 @@ class Energy(Protocol):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Arguments of :func:`protochain.energy` that it was built with; none of a callable."""
+        """Arguments of :func:`protochain.energy` that it was built with, empty for a callable."""
 
     @property
     def threads(self) -> int:
@@ -50,18 +50,18 @@ class Energy(Protocol):
 
     @property
     def is_exact(self) -> bool:
-        """Whether it computes in double precision, so that the reference would gain nothing."""
+        """Whether it computes in double precision, so that the reference is not more accurate."""
 
     @property
     def left_out(self) -> Mapping[str, int]:
-        """Numbers of constant terms and pairs that are left out, by kind."""
+        """Numbers of constant terms and pairs that are omitted, by kind."""
 
     def without_constants(self, groups: Integers, x: Floats) -> "Energy":
-        """Leave out terms that are constant while groups of atoms (na, k) stay rigid as they are at x."""
+        """Omit terms that are constant if groups of atoms (na, k) stay as rigid as at x."""
 
     @property
     def reference(self) -> "Energy":
-        """The same energy on OpenMM's Reference platform, in double precision; of a callable, itself."""
+        """The same energy on OpenMM's Reference platform, in double precision. A callable returns itself."""
 
     @property
     def exact(self) -> "Energy":
@@ -73,7 +73,7 @@ class Energy(Protocol):
 
     @property
     def lists_at(self) -> Floats | None:
-        """Positions (na, 3) in nm at which its neighbour lists were built; None without such lists."""
+        """Positions (na, 3) in nm at which its neighbour lists were built, None without lists."""
 
     def list_at(self, x: Floats) -> None:
         """Build its neighbour lists at positions x (na, 3) in nm."""
@@ -81,7 +81,7 @@ class Energy(Protocol):
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Energies in kJ/mol by kind, or by force of the System, and forces (na, 3) in kJ/mol/nm, at x in nm.
 
-        Energies of equal names are added.
+        Energies with the same name are added.
         """
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
@@ -89,7 +89,7 @@ class Energy(Protocol):
 
 
 def an_energy(value: Any, name: str) -> Energy:
-    """Return an Energy as it is, known by a method: what asked for all would compute the properties, too."""
+    """Return an Energy unchanged. One method identifies it: a check of all would compute the properties."""
     if hasattr(value, "without_constants"):
         return value
     raise refused(name, shown(value), "give an Energy, as of protochain.energy(structure)")

@@ -1,20 +1,20 @@
-"""Force-field files of strangers: what OpenMM would run of them, and what is allowed.
+"""Checks of untrusted force-field files for content that OpenMM would run.
 
-What ``openmm/app/forcefield.py`` (8.6) does with a file, gone through call by call:
+``openmm/app/forcefield.py`` (8.6) reads a file as follows:
 
 ===========================================  ===============================================
 text                                         read by
 ===========================================  ===============================================
 ``Script``, ``InitializationScript``         ``exec``: runs
-``Include``, attribute ``file``              opened, with all that is in that file
+``Include``, attribute ``file``              opened, with its entire content
 ``useDispersionCorrection`` of two forces    ``eval``: runs
-``energy``, ``expression``; text of          Lepton, a language of numbers and functions
+``energy``, ``expression``, text of          Lepton, a language of numbers and functions
 ``ComputedValue`` and ``EnergyTerm``
 text of ``Function`` and ``Map``             ``float``
 all other attributes                         ``float``, ``int``, tables of words, or names
 ===========================================  ===============================================
 
-What is allowed is narrower than that, so that an ``eval`` of a later version finds nothing to call.
+The allowed content is narrower, so that an ``eval`` of a later version cannot call anything.
 """
 
 import re
@@ -26,21 +26,21 @@ from protochain.core.errors import Argument, ForceFieldError
 ACTIVE = ("Script", "InitializationScript", "Include")
 EVALUATED = ("useDispersionCorrection",)
 _NEVER_READ = ("Info", "Source", "Reference")
-"""Elements that say where a file comes from."""
+"""Elements that describe the origin of a file."""
 _NOTES = ("def", "desc", "doi", "overrides", "source", "comment")
 """Attributes of other programs (Foyer), which OpenMM does not read."""
 _LEPTON = ("energy", "expression")
 _LEPTON_TEXT = ("ComputedValue", "EnergyTerm")
 _FREE = ("name", *_LEPTON, *_NOTES)
-"""Names are only compared: openmmforcefields names residues by their SMILES."""
+"""Attributes without restrictions. Names are only compared: openmmforcefields names residues by SMILES."""
 
 _BOOLEAN = re.compile(r"\s*(True|False|[01])\s*")
 _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
-"""Numbers and names: in Python nothing can be called without brackets."""
+"""Numbers and names. Python cannot call anything without brackets."""
 
 
 def check_passive(path: Path, root: ElementTree.Element) -> None:
-    """Refuse a force field of which OpenMM would run a part as Python, or which opens other files."""
+    """Refuse a force field if OpenMM would run a part of it as Python, or if it opens other files."""
     trust = "if you trust the file, allow that with ", Argument("trust_forcefield", True)
     for node in root.iter():
         if node.tag in ACTIVE:
@@ -60,14 +60,14 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
 
 
 _LONGEST, _DEEPEST, _LARGEST = 4000, 50, 400
-"""Of an expression: letters; brackets within brackets; parts, with what it defines put in. Lepton recurses,
-and takes time and memory in the third power of parts to differentiate: at these, seconds and 300 MB."""
+"""Limits of an expression: letters, nested brackets, parts with its definitions inserted. Lepton recurses.
+Derivatives need time and memory in the third power of the parts: seconds and 300 MB at these limits."""
 _WEIGHTS = {"(": 0, ")": 0, ",": 0, "*": 2, "/": 2, "^": 4}
 _TOKEN = re.compile(r"[A-Za-z_]\w*|[\d.]+(?:[eE][+-]?\d+)?|\S")
 
 
 def check_expressions(path: Path, root: ElementTree.Element) -> None:
-    """Refuse expressions that OpenMM would not end with, or only with all memory."""
+    """Refuse expressions that OpenMM could not process in acceptable time and memory."""
     for node in root.iter():
         texts = [node.attrib[name] for name in _LEPTON if name in node.attrib]
         texts += [node.text or ""] if node.tag in _LEPTON_TEXT else []
