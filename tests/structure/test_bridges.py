@@ -14,8 +14,13 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import fragments
-from protochain.structure.preparation.hetero_molecules import Candidate, check_words, report_kept, water_named
-from protochain.structure.preparation.model_choice import likeliest, same_place
+from protochain.structure.preparation.hetero_molecules import (
+    HeteroResidue,
+    check_words,
+    rename_water,
+    report_hetero,
+)
+from protochain.structure.preparation.model_choice import group_alternates, pick_altloc
 from protochain.structure.preparation.prepare import run
 from protochain.structure.preparation.recognise import by_element
 from protochain.structure.preparation.sites import measure, moves, ties
@@ -47,7 +52,7 @@ def test_sulphurs_within_three_angstrom_are_bonded_and_that_is_said_unless_state
     assert disulfides(draft) == [tuple(pair)] * bonded
     assert kinds(draft) == [Kind.BRIDGE] * bonded
     draft = drafted(*pair)
-    draft.stated = [(place(2), place(1))]
+    draft.stated_bonds = [(place(2), place(1))]
     disulfides(draft)
     assert kinds(draft) == [Kind.BRIDGE_IGNORED] * (not bonded)
     assert bonded or "3.0 angstrom" in sentences(draft)[0]
@@ -83,7 +88,7 @@ def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
 def test_bonds_are_in_the_order_of_their_cysteines_and_the_nearest_first():
     a, b, c, d, e = cysteines(50.0, 0.0, 52.1, 2.0, 4.1)
     draft = drafted(a, b, c, d, e)
-    draft.stated = [
+    draft.stated_bonds = [
         (place(1), place(3)),
         (place(1, "CB"), place(3)),
         (place(9), place(1)),
@@ -101,7 +106,7 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
     assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
     assert kinds(draft) == [Kind.BRIDGE, Kind.BRIDGE_FAR] and "10.0 angstrom" in sentences(draft)[1]
     draft = drafted(a, c)
-    draft.stated = [(("A", "1", "SG"), ("A", "3", "SG"))]
+    draft.stated_bonds = [(("A", "1", "SG"), ("A", "3", "SG"))]
     assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(sentences(draft))
     draft = drafted(a, b, c, d)
     assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
@@ -135,7 +140,7 @@ def crosslinked(*members):
     """Ends of the bonds between residues of a chain that are none along it."""
     draft = drafted(*members)
     where = {
-        id(m): fragments.Place(part, i, *part.around(i))
+        id(m): fragments.Place(part, i, *part.neighbours(i))
         for part in draft.parts for i, m in enumerate(part.members)
     }  # fmt: skip
     return [(link.atom.name, link.hetero_atom.name) for link in fragments._amides(draft, where)]
@@ -172,7 +177,7 @@ CENTRE = 0.5
 )
 def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     def kept(word):
-        given = Candidate(residue, "OLD", [noted("oddly")])
+        given = HeteroResidue(residue, "OLD", [noted("oddly")])
         draft = drafted(glycine())
         parts = kept_of(draft, [given], (word,), {})
         assert given.kind == kind and draft.left_out == ({} if parts else {_told(kind): 1})
@@ -185,8 +190,8 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     told = f"keep QWK: .*: 1 {_told(kind).rstrip('s')}$"
     for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
         with pytest.raises(pc.ProtochainError, match=told):
-            kept_of(drafted(glycine()), [Candidate(residue, "OLD")], words, {})
-    assert kept_of(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
+            kept_of(drafted(glycine()), [HeteroResidue(residue, "OLD")], words, {})
+    assert kept_of(drafted(glycine()), [HeteroResidue(residue, "OLD")], (), {}) == []
 
 
 def _told(kind):
@@ -198,7 +203,7 @@ def glycine():
 
 
 def candidates(*places, name="LIG"):
-    return [Candidate(member(name, k, ("C", x), ("H", x + 90.0)), name) for k, x in enumerate(places, 2)]
+    return [HeteroResidue(member(name, k, ("C", x), ("H", x + 90.0)), name) for k, x in enumerate(places, 2)]
 
 
 @pytest.mark.parametrize(
@@ -218,7 +223,7 @@ def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what
         given[2].member.atoms[0].pos.y = 1.7
     draft = drafted(glycine())
     parts = kept_of(draft, given, ("near",), {})
-    run(draft, (report_kept,))
+    run(draft, (report_hetero,))
     kept = [part.members[0] for part in parts]
     assert kept == [given[k].member for k in near]
     gone = len(places) - len(near)
@@ -258,9 +263,9 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     second = member("DA", 2, ("P", far), ("O3'", 9.0), chain="B")
     water, last = member("LIG", 3, ("C", 9.1), chain="B"), member("LIG", 4, ("C", 9.1), chain="C")
     draft = Draft("x", "x")
-    given = [Candidate(each, each.name) for each in (first, second, water, last)]
+    given = [HeteroResidue(each, each.name) for each in (first, second, water, last)]
     parts = kept_of(draft, given, ("all",), DNA)
-    run(draft, (report_kept,))
+    run(draft, (report_hetero,))
     strands = [[first, second]] if bonded else [[first], [second]]
     assert [part.members for part in parts] == [*strands, [water], [last]]
     assert all(part.obstacle and not part.cyclic for part in parts)
@@ -276,7 +281,7 @@ def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
         [member("DA", n, ("P", at + 7.0 * n), ("O3'", at + 7.0 * n + 5.4), chain=chain) for n in numbers]
         for chain, numbers, at in (("B", (1, 2, 3), 0.0), ("C", (4, 5, 6), 5.0))
     ]
-    given = [Candidate(each, each.name) for strand in strands for each in strand]
+    given = [HeteroResidue(each, each.name) for strand in strands for each in strand]
     assert [part.members for part in kept_of(Draft("x", "x"), given, ("all",), DNA)] == strands
 
 
@@ -285,7 +290,7 @@ def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_e
     second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))
     third = member("DA", 3, ("P", 10.6), ("O3'", 18.0))
     draft = Draft("x", "x")
-    parts = kept_of(draft, [Candidate(each, "DA") for each in (first, second, third)], ("all",), DNA)
+    parts = kept_of(draft, [HeteroResidue(each, "DA") for each in (first, second, third)], ("all",), DNA)
     assert [(part.members, part.mobile) for part in parts] == [
         ([first], True),
         ([second], False),
@@ -305,11 +310,11 @@ def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
         ("ALA", ("C",), False), ("DA", ("P", "O3'"), True),
     ):  # fmt: skip
         residue = member(name, 1, *((atom_name, float(k)) for k, atom_name in enumerate(atoms)))
-        kept_of(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
+        kept_of(Draft("x", "x"), [HeteroResidue(residue, name)], ("all",), DNA)
         assert (residue.template is None) is fits, (name, atoms)
     known = {"LIG": template("LIG", "OP1")}
     residue = member("LIG", 1, ("O1P", 0.0))
-    kept_of(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
+    kept_of(Draft("x", "x"), [HeteroResidue(residue, "LIG")], ("all",), known)
     assert residue.template is None
 
 
@@ -319,11 +324,11 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     ligand = member("ATP", 2, ("P", 9.0))
     draft = Draft("x", "x")
     known = {"AN": template("AN", "O5'", "O3'", "O2'"), "DGN": template("DGN", "O5'")}
-    kept_of(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
+    kept_of(draft, [HeteroResidue(strand, "A"), HeteroResidue(ligand, "ATP")], ("all",), known)
     assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
-    kept_of(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
-    run(clean, (report_kept,))
+    kept_of(clean, [HeteroResidue(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
+    run(clean, (report_hetero,))
     assert len(clean.parts) == 1
     assert kinds(clean) == [Kind.KEPT]
 
@@ -347,7 +352,7 @@ def test_molecules_by_element_have_bonds_by_distance():
 
 @pytest.mark.parametrize(("given", "name"), [("HOH", "HOH"), ("DOD", "HOH"), ("ATP", "XXX"), ("Q?Q", "XXX")])
 def test_waters_of_the_tables_get_the_name_of_water(given, name):
-    found = water_named(member("XXX", 5, ("O", 1.0), code="B"), given)
+    found = rename_water(member("XXX", 5, ("O", 1.0), code="B"), given)
     assert (found.name, found.seqid, found.atoms[0].name) == (name, "5B", "O")
 
 
@@ -404,7 +409,7 @@ def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so(
         residue = placed("ALA", 1, **{name: (x, 0.0, 0.0) for name, x in names.items()})
         draft = beside([residue], ion("Zn", 7, 0.0, 0.0, 0.0))
         first = next(iter(names))
-        draft.stated = [(("B", "7", "ZN"), ("A", "1", first))] * stated
+        draft.stated_bonds = [(("B", "7", "ZN"), ("A", "1", first))] * stated
         assert [each.atom.name for each in linked(draft)] == [first] * bonded, names
         # What the file says and is not done is reported.
         said = [f"{each}" for each in draft.repairs if each.kind is Kind.BOND_IGNORED]
@@ -471,19 +476,19 @@ def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
         assert kinds(draft) == [Kind.NEAR]
         # What the file states is believed, if there is a valence.
         draft = beside([residue], other)
-        draft.stated = [(("A", "1", residue.atoms[0].name), ("B", "5", "C1"))]
+        draft.stated_bonds = [(("A", "1", residue.atoms[0].name), ("B", "5", "C1"))]
         assert len(linked(draft)) == 1
 
 
 def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
     for far, bonded in ((0.81, True), (0.79, False), (2.13, True), (2.15, False), (5.0, False)):
         draft = beside([placed("ARG", 1, NH1=(far, 0.0, 0.0))], sugar())
-        draft.stated = [(("B", "5", "C1"), ("A", "1", "NH1"))]
+        draft.stated_bonds = [(("B", "5", "C1"), ("A", "1", "NH1"))]
         assert len(linked(draft)) == bonded
         assert (Kind.BOND_IGNORED in kinds(draft)) is not bonded
     full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
     draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
-    draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
+    draft.stated_bonds = [(("A", "1", "OG"), ("B", "5", "C1"))]
     assert linked(draft) == [] and "C1 of B:NAG5 has no valence" in sentences(draft)[0]
 
 
@@ -496,7 +501,7 @@ def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
             far: Member("HOH", "8", "", "B", [atom("O", "O", [0.0, far, 0.0])]) for far in (*kept, *absent)
         }
         draft = beside(holders, metal, *(water[far] for far in kept))
-        draft.absent = [water[far] for far in absent]
+        draft.omitted = [water[far] for far in absent]
         links = linked(draft)
         assert len(links) == n and (kinds(draft)[0] is Kind.ION_MOVES) is moves(draft, metal, links)
         assert not moves(draft, metal, [])
@@ -548,7 +553,7 @@ def test_springs_of_a_covalent_bond_hold_the_angles_at_both_ends(far, length):
     residue = placed("ASN", 1, CG=(far, 1.3, 0.0), ND2=(far, 0.0, 0.0))
     atoms = [atom("C1", "C", [0.0] * 3), atom("O5", "O", [0.8, 0.0, 1.4]), atom("H1", "H", [-1.0, 0.0, 0.0])]
     draft = beside([residue], Member("NAG", "5", "", "B", atoms))
-    draft.stated = [(("A", "1", "ND2"), ("B", "5", "C1"))]
+    draft.stated_bonds = [(("A", "1", "ND2"), ("B", "5", "C1"))]
     assert tied(draft, [[0, 1], [1, 2], [2, 3], [2, 4]]) == {
         (1, 2): (pytest.approx(length), 2.7e5), (0, 1, 2): (pytest.approx(np.pi / 2), 500.0),
         (1, 2, 3): (pytest.approx(np.pi / 2), 500.0),
@@ -582,22 +587,22 @@ def test_one_location_is_kept_with_what_all_share_and_what_only_another_has():
         "SER", ("N", "", 1.0), ("CA", "B", 0.5), ("CA", "A", 0.5), ("OG", "B", 0.25), ("HB", "B", 1.0),
         ("HG", "A", 0.5), ("H", "", 1.0),
     )  # fmt: skip
-    found = likeliest([mixed.clone()], "")
+    found = pick_altloc([mixed.clone()], "")
     # B: 0.5, 0.25 and 1.0; A: 0.5 and 0.5.
     assert told(found) == ("SER", "B", pytest.approx(1.75 / 3), ["SER A"], ["CA"])
     assert [(a.name, a.pos.x, a.altloc) for a in found.residue] == [
         ("N", 0.0, "\0"), ("CA", 1.0, "\0"), ("OG", 3.0, "\0"), ("HB", 4.0, "\0"), ("H", 6.0, "\0"),
     ]  # fmt: skip
-    other = likeliest([mixed.clone()], "A")
+    other = pick_altloc([mixed.clone()], "A")
     assert told(other) == ("SER", "A", 0.5, ["SER B"], ["CA"])
     assert [(a.name, a.pos.x) for a in other.residue] == [
         ("N", 0.0), ("CA", 2.0), ("OG", 3.0), ("HG", 5.0), ("H", 6.0),
     ]  # fmt: skip
-    assert told(likeliest([mixed.clone()], "C"))[1] == "B"
+    assert told(pick_altloc([mixed.clone()], "C"))[1] == "B"
 
 
 def test_without_alternates_the_first_of_each_name_is_kept():
-    found = likeliest([residue("ALA", ("N", "", 0.5), ("CB", "", 0.1), ("N", "", 1.0), ("H", "", 1.0))], "")
+    found = pick_altloc([residue("ALA", ("N", "", 0.5), ("CB", "", 0.1), ("N", "", 1.0), ("H", "", 1.0))], "")
     assert told(found) == ("ALA", "", 1.0, [], ["N"])
     assert [(a.name, a.pos.x) for a in found.residue] == [("N", 0.0), ("CB", 1.0), ("H", 3.0)]
 
@@ -606,13 +611,19 @@ def test_a_backbone_that_the_file_gives_once_belongs_to_every_alternative():
     backbone = [(name, "", 1.0) for name in ("N", "CA", "C", "O")]
     first = residue("SER", *backbone, ("H", "", 1.0), ("OG", "A", 0.25))
     second = residue("ALA", ("CA", "B", 0.75), ("CB", "B", 0.75))
-    found = likeliest([first.clone(), second.clone()], "")
+    found = pick_altloc([first.clone(), second.clone()], "")
     assert told(found) == ("ALA", "B", 0.75, ["SER A"], [])
     assert [(a.name, a.pos.x) for a in found.residue] == [
         ("CA", 0.0), ("CB", 1.0), ("N", 0.0), ("C", 2.0), ("O", 3.0),
     ]  # fmt: skip
     bare = residue("ALA", ("CB", "B", 0.75))
-    assert sorted(a.name for a in likeliest([first.clone(), bare], "").residue) == ["C", "CA", "CB", "N", "O"]
+    assert sorted(a.name for a in pick_altloc([first.clone(), bare], "").residue) == [
+        "C",
+        "CA",
+        "CB",
+        "N",
+        "O",
+    ]
 
 
 def test_residues_of_one_number_with_alternates_share_a_place():
@@ -621,10 +632,10 @@ def test_residues_of_one_number_with_alternates_share_a_place():
         ("SER", "A", 1), ("THR", "B", 1), ("ALA", "", 1), ("GLY", "B", 2), ("LEU", "C", 2),
     ):  # fmt: skip
         chain.add_residue(residue(name, ("N", altloc, 1.0), number=number))
-    assert [[each.name for each in group] for group in same_place(chain)] == [
+    assert [[each.name for each in group] for group in group_alternates(chain)] == [
         ["SER", "THR"],
         ["ALA"],
         ["GLY", "LEU"],
     ]
-    same_place(chain)[0][0].name = "XXX"
+    group_alternates(chain)[0][0].name = "XXX"
     assert chain[0].name == "SER"

@@ -14,9 +14,9 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.preparation.prepare import PASSES
 from protochain.structure.preparation.structure_draft import (
-    Candidate,
     Draft,
     Evidence,
+    HeteroResidue,
     Omission,
     Part,
     Reading,
@@ -83,7 +83,7 @@ def choose_model():
     made[1].num = 2
     draft = of_file(made)
     yield draft, [Kind.MODELS_LEFT_OUT, Omission("models", 1)]
-    assert draft.model_number == 1 and len(draft.filed) == draft.model.count_atom_sites()
+    assert draft.model_number == 1 and len(draft.file_atoms) == draft.model.count_atom_sites()
 
 
 def remove_pseudo_atoms():
@@ -125,7 +125,7 @@ def read_bonds():
         made.connections.append(bond)
     draft = of_file(made)
     yield draft, [Kind.IMAGES]
-    assert draft.stated == [(("A", "1", "SG"), ("A", "3", "SG"))]
+    assert draft.stated_bonds == [(("A", "1", "SG"), ("A", "3", "SG"))]
 
 
 def choose_chains():
@@ -175,16 +175,16 @@ def join_chains():
 
 def add_poses():
     draft = of_file(peptides("AA", "AA"))
-    draft.beside = [Candidate(member("ZN", 9, ZINC, chain=chain), "ZN") for chain in "BA"]
+    draft.hetero_residues = [HeteroResidue(member("ZN", 9, ZINC, chain=chain), "ZN") for chain in "BA"]
     yield draft, []
-    assert [each.member.chain_id for each in draft.beside] == ["A", "B"]
+    assert [each.member.chain_id for each in draft.hetero_residues] == ["A", "B"]
 
 
-def choose_kept():
+def choose_hetero():
     draft = of_members(member("ALA", 1, ("CA", "C", 0.0)))
-    draft.beside = [Candidate(member("HOH", 9, ("O", "O", 3.0)), "HOH")]
+    draft.hetero_residues = [HeteroResidue(member("HOH", 9, ("O", "O", 3.0)), "HOH")]
     yield draft, [Omission("waters", 1), Kind.WATERS_LEFT_OUT]
-    assert len(draft.parts) == 1 and len(draft.absent) == 1
+    assert len(draft.parts) == 1 and len(draft.omitted) == 1
 
 
 def find_links():
@@ -198,7 +198,7 @@ def find_links():
 def assign_chemistry():
     far = [member("ALA", n, ("CB", "C", 9.0 * n)) for n in (1, 2)]
     draft = of_members(*far)
-    draft.stated = [(("A", "1", "CB"), ("A", "2", "CB"))]
+    draft.stated_bonds = [(("A", "1", "CB"), ("A", "2", "CB"))]
     yield draft, [Kind.BOND_IGNORED]
     assert draft.fragments == []
 
@@ -210,7 +210,7 @@ def report_links():
     yield draft, [Kind.ION_HELD]
 
 
-def report_kept():
+def report_hetero():
     yield of_members(member("ALA", 1, ("CA", "C", 0.0)), beside=[member("ZN", 9, ZINC)]), [Kind.KEPT]
 
 
@@ -225,7 +225,7 @@ def order_parts():
 
 def list_bonds():
     draft = of_members(member("ALA", 1, ("CB", "C", 0.0)))
-    draft.stated = [(("A", "1", "CB"), ("A", "7", "O"))]
+    draft.stated_bonds = [(("A", "1", "CB"), ("A", "7", "O"))]
     yield draft, [Kind.BONDS_LEFT_OUT]
 
 
@@ -252,8 +252,8 @@ def protonate():
 
 CASES = (
     build_assembly, choose_model, remove_pseudo_atoms, make_whole, correct_atoms, read_bonds, choose_chains,
-    choose_altlocs, split_chains, join_chains, add_poses, choose_kept, find_links, assign_chemistry,
-    report_links, report_kept, order_parts, list_bonds, add_heavy_atoms, bond_disulfides, protonate,
+    choose_altlocs, split_chains, join_chains, add_poses, choose_hetero, find_links, assign_chemistry,
+    report_links, report_hetero, order_parts, list_bonds, add_heavy_atoms, bond_disulfides, protonate,
 )  # fmt: skip
 
 
@@ -270,7 +270,7 @@ def test_a_pass_yields_what_it_changes(case):
 
 def test_a_draft_without_a_chain_is_refused():
     draft = Draft("x", "x")
-    draft.beside = [Candidate(member("HOH", 9, ("O", "O", 3.0)), "HOH")]
+    draft.hetero_residues = [HeteroResidue(member("HOH", 9, ("O", "O", 3.0)), "HOH")]
     with pytest.raises(pc.ProtochainError, match="no protein found, only 1 water; give a file"):
         STEPS["require_chain"](draft)
 
@@ -297,7 +297,7 @@ def test_ligands_that_move_get_templates_and_hydrogens_at_carbon_and_others_lose
         for evidence in (Evidence.CHEMISTRY, Evidence.BONDED)
     ]  # fmt: skip
     draft = Draft("x", "x", parts)
-    (told,) = STEPS["take_ligands"](draft)
+    (told,) = STEPS["assign_ligand_templates"](draft)
     assert told.kind is Kind.BOUND and told.facts["charge"] == "+0"
     assert parts[1].ligand is None and parts[0].members[0].template.hydrogens.keys() == {"C1", "O1"}
     assert not [*STEPS["put_hydrogens"](draft)]
@@ -316,5 +316,5 @@ def test_the_table_of_evidence_is_that_of_the_code_and_the_role_decides_what_mov
 
 def test_every_pass_has_a_test():
     tested = {case.__name__ for case in CASES}
-    elsewhere = {"require_chain", "parametrise_ligands", "take_ligands", "put_hydrogens"}
+    elsewhere = {"require_chain", "parametrise_ligands", "assign_ligand_templates", "put_hydrogens"}
     assert {step.__name__ for step in PASSES} == tested | elsewhere

@@ -116,7 +116,7 @@ def test_bonds_to_symmetry_mates_are_named_and_are_none_of_the_model():
         link.partner2 = gemmi.AtomAddress("A", gemmi.SeqId(number, " "), "ALA", "CA")
         made.connections.append(link)
     draft = read_model(made)
-    assert draft.stated == [] and kinds(draft) == [Kind.IMAGES]
+    assert draft.stated_bonds == [] and kinds(draft) == [Kind.IMAGES]
     assert sentences(draft)[0].startswith("3 bonds of the file to symmetry mates")
     assert sentences(draft)[0].endswith("of CA of A:ALA2")
 

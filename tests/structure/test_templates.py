@@ -178,7 +178,7 @@ def test_a_draft_knows_its_residues_and_stated_bonds():
     draft = Draft("x", "x", [Part("A", [first]), Part("B", [second], evidence=Evidence.ELEMENTS)])
     assert draft.members == [first, second] and [part.cyclic for part in draft.parts] == [False, False]
     a, b, c = ("A", "1", "C"), ("A", "2", "N"), ("B", "1", "C")
-    draft.stated.append((a, b))
+    draft.stated_bonds.append((a, b))
     assert (
         draft.has_bond(a, b)
         and draft.has_bond(b, a)

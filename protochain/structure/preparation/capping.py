@@ -27,7 +27,7 @@ from protochain.structure.molecule.links import Link, usual_length
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.residues import NUCLEOTIDES, OF_ALANINE
 from protochain.structure.molecule.templates import PHOSPHATE_END
-from protochain.structure.preparation.ligand_chemistry import Chemist, inner_donors
+from protochain.structure.preparation.ligand_chemistry import LigandChemistry, inner_donors
 from protochain.structure.preparation.structure_draft import Fragment, Part
 
 _H, _C, _N, _O, _P = 1, 6, 7, 8, 15
@@ -45,12 +45,12 @@ class Place(NamedTuple):
     after: Member | None
 
 
-class Maker:
+class FragmentBuilder:
     """Puts the molecule of one fragment together."""
 
     def __init__(
         self,
-        chemist: Chemist,
+        chemist: LigandChemistry,
         members: Sequence[Member],
         links: Sequence[Link],
         where: Mapping[int, Place],

@@ -159,7 +159,7 @@ def _site(part: Part, i: int) -> Generator[Repair, None, Site]:
     if not chirality(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
         yield Repair.of(Kind.BUILT_AS_D, residue=member.residue)
-    return Site(member, sign, *part.around(i))
+    return Site(member, sign, *part.neighbours(i))
 
 
 def _is_misnamed(part: Part, i: int) -> bool:
@@ -172,7 +172,7 @@ def _is_misnamed(part: Part, i: int) -> bool:
 
 def _phi(part: Part, i: int) -> float:
     """Return the dihedral phi (rad), or zero if an atom is missing."""
-    before, _ = part.around(i)
+    before, _ = part.neighbours(i)
     atoms = [
         before.atom("C") if before else None,
         *(part.members[i].atom(name) for name in residues.BACKBONE),
@@ -228,7 +228,7 @@ def _carbonyl_oxygen(draft: Draft, part: Part, i: int) -> Floats:
     """Return the position (3,), angstrom, of O: in the peptide plane, or in free space at a C terminus."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
-    _, after = part.around(i)
+    _, after = part.neighbours(i)
     opposite = after.atom("N") if after else member.atom("OXT")
     if opposite is not None:
         arms = unit(at["CA"] - at["C"]) + unit(np.array(opposite.pos.tolist()) - at["C"])

@@ -24,10 +24,10 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.repairs import Kind, Loss, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
-from protochain.structure.preparation.capping import Maker, Place
+from protochain.structure.preparation.capping import FragmentBuilder, Place
 from protochain.structure.preparation.hetero_molecules import cut
 from protochain.structure.preparation.ligand_chemistry import (
-    Chemist,
+    LigandChemistry,
     charged_metals,
     report_metals,
     template_of,
@@ -53,17 +53,17 @@ poor model overlap."""
 def assign_chemistry(draft: Draft) -> Changes:
     """Give residues that no template fits their parameters, and report them."""
     where = {
-        id(m): Place(part, i, *part.around(i)) for part in draft.parts for i, m in enumerate(part.members)
+        id(m): Place(part, i, *part.neighbours(i)) for part in draft.parts for i, m in enumerate(part.members)
     }
     cross = yield from _believe(_stated_across(draft, where))
     cross += _amides(draft, where)
     for link in cross:
         link.member.links.append(link.atom)
         link.hetero.links.append(link.hetero_atom)
-    beside = [x for x in draft.links if not x.is_metal and x not in draft.contacts.sprung]
+    beside = [x for x in draft.links if not x.is_metal and x not in draft.contacts.spring_links]
     beside += yield from _believe(_between(draft))
     bonds = beside + cross
-    chemist = Chemist(draft)
+    chemist = LigandChemistry(draft)
     special = _special(draft, chemist, where, bonds)
     odd = {id(m) for m in special}
     unknown: list[tuple[Member, ProtochainError | ValueError]] = []
@@ -74,7 +74,7 @@ def assign_chemistry(draft: Draft) -> Changes:
         try:
             if around and not chemist.chemistry.has_sage:
                 raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
-            made = Maker(chemist, members, own, where, odd).fragment()
+            made = FragmentBuilder(chemist, members, own, where, odd).fragment()
             yield from _take_in(draft, chemist, made, odd)
         except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
             if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
@@ -103,13 +103,13 @@ def assign_chemistry(draft: Draft) -> Changes:
     gone = {link for link in beside if link not in bonds}
     draft.links = [
         link for link in draft.links
-        if link in draft.contacts.sprung
+        if link in draft.contacts.spring_links
         or (link not in gone and all(a in m.atoms for m, a, *_ in _both_ways(link)))
     ]  # fmt: skip
 
 
 def _special(
-    draft: Draft, chemist: Chemist, where: Mapping[int, Place], bonds: Sequence[Link]
+    draft: Draft, chemist: LigandChemistry, where: Mapping[int, Place], bonds: Sequence[Link]
 ) -> list[Member]:
     """Residues that no template fits: modified ones, and those whose bonds do not go on with a chain."""
     ends: dict[int, set[str]] = {}
@@ -130,7 +130,7 @@ def _special(
 
 def _groups(
     draft: Draft,
-    chemist: Chemist,
+    chemist: LigandChemistry,
     where: Mapping[int, Place],
     special: Sequence[Member],
     bonds: Sequence[Link],
@@ -192,7 +192,7 @@ def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.A
     yield link.hetero, link.hetero_atom, link.member, link.atom
 
 
-def _is_acyl(chemist: Chemist, member: Member, name: str) -> bool:
+def _is_acyl(chemist: LigandChemistry, member: Member, name: str) -> bool:
     """Whether nitrogen bonded to an atom is that of an amide: the file has a doubly bonded oxygen there."""
     if (graph := _graph(chemist, member)) is None:
         return True
@@ -201,7 +201,7 @@ def _is_acyl(chemist: Chemist, member: Member, name: str) -> bool:
     return bool(there) and any(graph.order(name, x) == 2 for x in oxygens)
 
 
-def _graph(chemist: Chemist, member: Member) -> Graph | None:
+def _graph(chemist: LigandChemistry, member: Member) -> Graph | None:
     """None where there is no chemistry, which is told later."""
     graph = Graph()
     try:
@@ -213,12 +213,12 @@ def _graph(chemist: Chemist, member: Member) -> Graph | None:
 
 def _stated_across(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
     """Bonds that the file states between residues of chains, but those along it and disulfides."""
-    if not draft.stated:
+    if not draft.stated_bonds:
         return
     chains = [m for m in draft.members if not where[id(m)].part.obstacle]
     there = {m.address(a.name): (m, a) for m in chains for a in m.heavy}
     done = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
-    for first, second in draft.stated:
+    for first, second in draft.stated_bonds:
         pair = frozenset((first, second))
         if pair in done or not pair <= there.keys():
             continue
@@ -283,7 +283,7 @@ def _about_unknown(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) ->
     )
 
 
-def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection[int]) -> Changes:
+def _take_in(draft: Draft, chemist: LigandChemistry, made: Fragment, special: Collection[int]) -> Changes:
     """Give the residues of a fragment their templates, take away what leaves, and report both."""
     called: dict[int, dict[int, str]] = {}
     mine: dict[int, Member] = {}
@@ -316,7 +316,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
             yield Repair.of(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
             parts[id(m)].evidence = Evidence.FRAGMENT
-        if chemist.name(m) in chemist.chemistry.named:
+        if chemist.name(m) in chemist.chemistry.user_sources:
             # The file written has to give the same chemistry again.
             draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.free(m)))
     for link, left in made.bonds.items():
@@ -344,7 +344,9 @@ def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
     return [(own[its[0]][0], "=".join(own[i][1] for i in its)) for its in inverted_atoms(molecule, x)]
 
 
-def _back(chemist: Chemist, member: Member, name: str, gone: Collection[tuple[Member, str]]) -> list[str]:
+def _back(
+    chemist: LigandChemistry, member: Member, name: str, gone: Collection[tuple[Member, str]]
+) -> list[str]:
     """Hydrogens that leave an atom and that the charge of an amine brings back."""
     if member.template is None or (graph := _graph(chemist, member)) is None:
         return []

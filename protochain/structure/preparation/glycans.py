@@ -31,7 +31,7 @@ from protochain.structure.molecule.sugars import (
     sugar_centres,
 )
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
-from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, is_usual
+from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, has_usual_angles
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
@@ -68,7 +68,7 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
         refusal = refusal if has_glycam else f"GLYCAM-06j goes with {HAS_GLYCAM} only"
         if refusal:
             # Bonds found by geometry count as bonds that the file states.
-            draft.stated += [
+            draft.stated_bonds += [
                 (x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds
             ]
             continue
@@ -146,7 +146,7 @@ class _Surroundings:
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
         self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
         self.stated: dict[Address, list[Address]] = {}
-        for first, second in draft.stated:
+        for first, second in draft.stated_bonds:
             if first[:2] != second[:2]:
                 self.stated.setdefault(first, []).append(second)
                 self.stated.setdefault(second, []).append(first)
@@ -173,8 +173,8 @@ class _Surroundings:
             for link in self._pairs(sugar, carbon)
             if self._bears(link.member, link.atom)
             and (hydroxyl is None or abs(link.excess) <= _CLEAR)
-            and is_usual(_bonded_atoms(link.member, link.atom), link.atom, carbon)
-            and is_usual(inner, carbon, link.atom)
+            and has_usual_angles(_bonded_atoms(link.member, link.atom), link.atom, carbon)
+            and has_usual_angles(inner, carbon, link.atom)
         ]
         return min(candidates, key=lambda link: abs(link.excess), default=None)
 

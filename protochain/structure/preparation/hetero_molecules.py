@@ -25,10 +25,10 @@ from protochain.structure.preparation import glycans
 from protochain.structure.preparation.linkage import STATED
 from protochain.structure.preparation.recognise import by_element, find_template
 from protochain.structure.preparation.structure_draft import (
-    Candidate,
     Changes,
     Draft,
     Evidence,
+    HeteroResidue,
     Omission,
     Part,
     losses,
@@ -36,7 +36,7 @@ from protochain.structure.preparation.structure_draft import (
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
-JOINED = 2.0
+JOIN_CUTOFF = 2.0
 """Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
 _PAIRED, _ABOVE = 3.4, 1.5
 """Angstrom: length of hydrogen bonds of paired bases, and their rise from the plane of a base; stacked bases
@@ -65,14 +65,14 @@ def check_words(words: Iterable[str]) -> None:
             )
 
 
-def choose_kept(draft: Draft) -> Changes:
+def choose_hetero(draft: Draft) -> Changes:
     """Choose the molecules to keep beside the protein; count and report the others."""
-    keep, chemistry, candidates = draft.reading.keep, draft.reading.chemistry, draft.beside
+    keep, chemistry, candidates = draft.reading.keep, draft.reading.chemistry, draft.hetero_residues
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     # The chemistry of an amino acid in a chain may be given, too.
     of_chains = {member.raw_name or member.name for member in draft.members if member.is_unknown}
-    _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
+    _refuse_unknown_names(draft, candidates, [*{*chemistry.user_sources} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     strands = {
         id(each)
@@ -88,13 +88,13 @@ def choose_kept(draft: Draft) -> Changes:
         words |= {"nucleic"} if id(candidate) in strands else set()
         is_given = candidate.raw_name in chemistry.moving
         # A result names what it kept, which may have come further away.
-        if id(candidate) in near or draft.says_of(candidate.member):
+        if id(candidate) in near or draft.lists(candidate.member):
             words.add("near")
         why = _why_unusable(candidate.member)
         if (is_given or words & {*keep}) and not why:
             chosen.append(candidate)
             continue
-        draft.absent.append(candidate.member)
+        draft.omitted.append(candidate.member)
         if not why and "near" in keep and candidate.kind != "water":
             why = Reason.FAR
         if why:
@@ -104,7 +104,7 @@ def choose_kept(draft: Draft) -> Changes:
         yield Omission(kind, count)
     yield from _report_coincident([each.member for each in chosen])
     yield from report_unresolved([each.member for each in chosen])
-    draft.parts += yield from _classify(draft, chosen)
+    draft.parts += yield from _group(draft, chosen)
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
         facts = {"counts": counts, "count": counts[0].n, "remedy": KEEP_ALL}
@@ -117,11 +117,11 @@ def require_chain(draft: Draft) -> tuple[()]:
     """Refuse a file without protein and nucleic acids."""
     # A trace of single atoms is no strand.
     if not any(not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1) for p in draft.parts):
-        raise StructureError(f"{draft.source}: ", *_about_rest(draft.beside))
+        raise StructureError(f"{draft.source}: ", *_about_rest(draft.hetero_residues))
     return ()
 
 
-def _about_rest(beside: Iterable[Candidate]) -> tuple[object, ...]:
+def _about_rest(beside: Iterable[HeteroResidue]) -> tuple[object, ...]:
     """What there is where there is no chain to work with, and what to do."""
     kinds = Counter("waters" if each.kind == "water" else each.raw_name for each in beside)
     each = [
@@ -155,7 +155,7 @@ def _report_coincident(members: Sequence[Member]) -> Changes:
 
 
 def _refuse_unknown_names(
-    draft: Draft, candidates: Sequence[Candidate], asked: Sequence[str], why: str
+    draft: Draft, candidates: Sequence[HeteroResidue], asked: Sequence[str], why: str
 ) -> None:
     """Refuse the name of a residue that no molecule has: it would keep, or tell, nothing."""
     names = {name for candidate in candidates for name in (candidate.raw_name, candidate.member.name)}
@@ -181,7 +181,7 @@ def _why_unusable(member: Member) -> Reason | None:
 
 
 def _near(
-    draft: Draft, candidates: Sequence[Candidate], given: Container[str], strands: Container[int]
+    draft: Draft, candidates: Sequence[HeteroResidue], given: Container[str], strands: Container[int]
 ) -> set[int]:
     """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has.
 
@@ -216,8 +216,8 @@ def _joined(
     heavy = np.array([not atom.is_hydrogen() for _, atom in ends])
     near = near[(owner[near[:, 0]] != owner[near[:, 1]]) & heavy[near].all(axis=1)]
     length = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
-    is_joined = length <= JOINED
-    stated = {frozenset(pair) for pair in draft.stated}
+    is_joined = length <= JOIN_CUTOFF
+    stated = {frozenset(pair) for pair in draft.stated_bonds}
     metal = np.array([is_metal(atom.element.name) for _, atom in ends])
     address = [members[k].address(atom.name) for k, atom in ends] if stated or metal.any() else []
     for row in np.flatnonzero(~is_joined & (length <= STATED)).tolist() if address else ():
@@ -254,7 +254,7 @@ def _paired(
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def _classify(draft: Draft, chosen: Sequence[Candidate]) -> Generator[Repair | Omission, None, list[Part]]:
+def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | Omission, None, list[Part]]:
     """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
     known, chemistry = draft.templates, draft.reading.chemistry
     parts: list[Part] = []
@@ -370,7 +370,7 @@ def _fits(member: Member, template: Template | None) -> bool:
     return heavy | {"OP3"} == {*template.heavy, "OP3"}
 
 
-def report_kept(draft: Draft) -> Changes:
+def report_hetero(draft: Draft) -> Changes:
     """Report the molecules that are kept."""
     its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
     if its:
@@ -380,7 +380,7 @@ def report_kept(draft: Draft) -> Changes:
         yield Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts)
 
 
-def water_named(member: Member, given: str) -> Member:
+def rename_water(member: Member, given: str) -> Member:
     """Return a residue that is water in the tables under the name of water, or as unknown by its atoms."""
     if not gemmi.find_tabulated_residue(given).is_water():
         return member

@@ -33,7 +33,7 @@ from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation.structure_draft import (
     Changes,
-    Charging,
+    ChargedMolecule,
     Chemistry,
     Draft,
     Evidence,
@@ -65,12 +65,12 @@ def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]
     return replace(chemistry, posed=posed), Member(name, "1", "", chain, atoms, raw_name=name)
 
 
-class Chemist:
+class LigandChemistry:
     """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
 
     def __init__(self, draft: Draft) -> None:
         self.draft, self.chemistry, self.templates = draft, draft.reading.chemistry, draft.templates
-        self.known: dict[str, Charging] = dict(self.chemistry.posed)
+        self.known: dict[str, ChargedMolecule] = dict(self.chemistry.posed)
         self.made: dict[tuple[object, ...], Ligand] = {}
 
     @cached_property
@@ -85,7 +85,7 @@ class Chemist:
         try:
             library("rdkit.Chem")
             molecule, charged = self._looked_up(name, member)
-            at = _placed(molecule, member, by_name=name not in self.chemistry.named)
+            at = _placed(molecule, member, by_name=name not in self.chemistry.user_sources)
             called = dict(zip(molecule.names, at.molecule.names, strict=True))
             charged = tuple(replace(each, atom=called[each.atom]) for each in charged)
             molecule = _as_shown(at.molecule, member)
@@ -97,7 +97,9 @@ class Chemist:
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
             charged = tuple(each for each in charged if each.after == now[each.atom])
             part.ligand = self._parametrised(molecule, charged)
-            if not shows_charges and _is_charged_by_ph(self._of_source(member), name in self.chemistry.named):
+            if not shows_charges and _depends_on_ph(
+                self._of_source(member), name in self.chemistry.user_sources
+            ):
                 part.ligand = replace(part.ligand, unsure=unsure(molecule, self.chemistry.ph))
         except ProtochainError as error:
             # What the user gives is not left aside.
@@ -125,7 +127,7 @@ class Chemist:
             self.made[alike] = assign_parameters(molecule, self.chemistry.charges)
         return replace(self.made[alike], molecule=molecule, charged=charged)
 
-    def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
+    def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> ChargedMolecule:
         """The molecule without the protons that metals displace; their places are left out of the residue."""
         metals = [metal for metal in self.metals if metal[0] is not member]
         holding = {a.name for a in member.atoms if any(Link(member, a, *m).is_coordinated for m in metals)}
@@ -158,25 +160,25 @@ class Chemist:
     def _of_source(self, member: Member) -> Molecule:
         name = self.name(member)
         atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
-        return of_residue(name, self.draft.header, atoms, self.chemistry.named.get(name))
+        return of_residue(name, self.draft.header, atoms, self.chemistry.user_sources.get(name))
 
-    def _looked_up(self, name: str, member: Member) -> Charging:
+    def _looked_up(self, name: str, member: Member) -> ChargedMolecule:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
-            free, is_given = self._of_source(member), name in self.chemistry.named
+            free, is_given = self._of_source(member), name in self.chemistry.user_sources
             self.known[name] = _charged(self.chemistry, free, is_given, inner_donors(member))
         return self.known[name]
 
 
 def _charged(
     chemistry: Chemistry, molecule: Molecule, is_given: bool, donors: Collection[str] = ()
-) -> Charging:
+) -> ChargedMolecule:
     """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
-    by_ph = _is_charged_by_ph(molecule, is_given)
+    by_ph = _depends_on_ph(molecule, is_given)
     return at_ph(molecule, chemistry.ph, donors) if by_ph else (molecule, ())
 
 
-def _is_charged_by_ph(molecule: Molecule, given: bool) -> bool:
+def _depends_on_ph(molecule: Molecule, given: bool) -> bool:
     """Whether the pH decides the charges of a molecule: not of SO4, nor if a user gives charges."""
     # A nitro group or an oxide, whose two charges are neighbours, says nothing of acids and bases.
     shown = {*np.flatnonzero(molecule.formal_charges).tolist()}
@@ -287,13 +289,13 @@ def _named_apart(molecule: Molecule) -> Molecule:
 
 def parametrise_ligands(draft: Draft) -> Changes:
     """Let the small molecules move whose chemistry is known."""
-    chemist = Chemist(draft)
+    chemist = LigandChemistry(draft)
     for part in draft.parts:
         if part.evidence is Evidence.SMALL:
             yield from chemist.settle(part)
 
 
-def take_ligands(draft: Draft) -> Changes:
+def assign_ligand_templates(draft: Draft) -> Changes:
     """Report the ligands of a draft that move, and give them their templates."""
     ph = draft.reading.chemistry.ph
     for part in draft.parts:

@@ -75,7 +75,7 @@ class ClosePairs:
     overlapping: list[Link]  # As near as bonded atoms, and not bonded; in the order given.
 
 
-def bonds_and_overlaps(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:
+def classify_pairs(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:
     """Tell bonds from overlaps: those of the file first, then those nearest to a usual length."""
     near = _Neighbourhood(draft)
     close = [pair for pair in pairs if pair.excess <= COVALENT_SLACK]
@@ -146,8 +146,8 @@ class _Neighbourhood:
             and (pair.atom.name != "SG" or len(mine) == 1)
             and len(pair.hetero.template.neighbours(pair.hetero_atom.name) - {a.name for a in its}) == 0
             and _lacks_neighbour(pair.hetero_atom, its)
-            and is_usual(mine, pair.atom, pair.hetero_atom)
-            and is_usual(its, pair.hetero_atom, pair.atom)
+            and has_usual_angles(mine, pair.atom, pair.hetero_atom)
+            and has_usual_angles(its, pair.hetero_atom, pair.atom)
         )
 
     def _is_known(self, pair: Link, its: Sequence[gemmi.Atom]) -> bool:
@@ -199,7 +199,7 @@ def _lacks_neighbour(atom: gemmi.Atom, its: Sequence[gemmi.Atom]) -> bool:
     return len(its) < {"C": 4, "N": 3, "P": 4, "B": 4}.get(element, 1)
 
 
-def is_usual(neighbours: Iterable[gemmi.Atom], middle: gemmi.Atom, end: gemmi.Atom) -> bool:
+def has_usual_angles(neighbours: Iterable[gemmi.Atom], middle: gemmi.Atom, end: gemmi.Atom) -> bool:
     """Whether a bond has usual angles with the others of an atom; those with hydrogens are not looked at."""
     low, high = _ANGLES
     arm = np.array(end.pos.tolist()) - middle.pos.tolist()

@@ -109,7 +109,7 @@ def choose_model(draft: Draft) -> Changes:
         yield Omission("models", len(structure) - 1)
     draft.model = structure[0 if number is None else numbers.index(number)]
     draft.model_number = draft.model.num
-    draft.filed = tuple(name for name, _ in in_file_order(draft.model))
+    draft.file_atoms = tuple(name for name, _ in in_file_order(draft.model))
     _check_altloc(draft)
 
 
@@ -131,20 +131,20 @@ def choose_chains(draft: Draft) -> Changes:
 
 def choose_altlocs(draft: Draft) -> Changes:
     """Choose one state of the residues that touch; of two that are never there at once, leave out one."""
-    places = [(chain.name, group) for chain in draft.chains for group in same_place(chain)]
-    letters, gives_way = agreed([group for _, group in places], draft.reading.altloc)
+    places = [(chain.name, group) for chain in draft.chains for group in group_alternates(chain)]
+    letters, gives_way = resolve_altlocs([group for _, group in places], draft.reading.altloc)
     draft.places = {chain.name: [] for chain in draft.chains}
     for k, (name, group) in enumerate(places):
         if k not in gives_way:
             draft.places[name].append((group, letters[k]))
             continue
         yield Omission("alternate locations", 1)
-        residue, other = (in_file(places[p][0], places[p][1][0]) for p in (k, gives_way[k]))
+        residue, other = (residue_in_file(places[p][0], places[p][1][0]) for p in (k, gives_way[k]))
         if not group[0].is_water():
             yield Repair.of(Kind.EXCLUDED, residue=residue, other=other, occupancy=group[0][0].occ)
 
 
-def in_file(chain: str, residue: gemmi.Residue) -> Residue:
+def residue_in_file(chain: str, residue: gemmi.Residue) -> Residue:
     """What a file calls a residue."""
     return Residue(chain, str(residue.seqid).strip(), residue.name)
 
@@ -170,7 +170,7 @@ class Conformation:
     repeated: list[str]  # Names of atoms that occurred more than once.
 
 
-def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
+def group_alternates(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
     """Group copies of residues that share a number, the alternatives of microheterogeneity."""
     groups: list[list[gemmi.Residue]] = []
     amino: dict[str, list[gemmi.Residue]] = {}
@@ -197,7 +197,7 @@ class _Partial(NamedTuple):
     x: list[float]
 
 
-def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
+def resolve_altlocs(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
     """Choose one state of those places that touch: the letter of most molecules, then occupancy."""
     letters, gives_way = [asked] * len(places), dict[int, int]()
     atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
@@ -307,7 +307,7 @@ def _correct_elements(model: gemmi.Model) -> list[Atom]:
     return found
 
 
-def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
+def pick_altloc(group: list[gemmi.Residue], asked: str) -> Conformation:
     """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
     names = [atom.name for atom in group[0] if not atom.has_altloc()]
     if len(group) == 1 and len({*names}) == len(group[0]):

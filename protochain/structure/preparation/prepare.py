@@ -57,19 +57,19 @@ READING: tuple[Pass, ...] = (
     chain_passes.split_chains,  # Residues of the protein, in unbroken pieces, and hetero molecules.
     chain_passes.join_chains,  # Pieces whose ends are bonded.
     chain_passes.add_poses,  # Molecules of the user.
-    hetero_molecules.choose_kept,  # Hetero molecules to include, and their kinds.
+    hetero_molecules.choose_hetero,  # Hetero molecules to include, and their kinds.
     hetero_molecules.require_chain,
     sites.find_links,  # Bonds between the protein and hetero molecules.
     fragments.assign_chemistry,  # Residues that no template fits.
     sites.report_links,
     ligand_chemistry.parametrise_ligands,  # Small molecules.
-    hetero_molecules.report_kept,
+    hetero_molecules.report_hetero,
     chain_passes.order_parts,
 )
 """Passes from a file to molecules of known chemistry."""
 COMPLETING: tuple[Pass, ...] = (
     sites.list_bonds,  # Bonds that are not along a chain, and mobile molecules.
-    ligand_chemistry.take_ligands,  # Templates of mobile ligands.
+    ligand_chemistry.assign_ligand_templates,  # Templates of mobile ligands.
     complete.add_heavy_atoms,
     sites.bond_disulfides,
     protonate.protonate,
@@ -188,7 +188,7 @@ def reading_of(
         ph=ph,
         forcefield=user_files(forcefield),
         chains=words(chains, "chains"),
-        chemistry=Chemistry.asked(
+        chemistry=Chemistry.parse(
             ligands, ligand_charges, defaults.PH if isinstance(ph, str) else ph, parts_of(forcefield)
         ),
         **options,
@@ -238,7 +238,7 @@ _FIRST = {Kind.LEFT_OUT: 0, Kind.WATERS_LEFT_OUT: 0, Kind.KEPT: 1, Kind.KEPT_BY_
 
 def prepare(draft: Draft) -> Structure:
     """Complete a draft that was read: heavy atoms, disulfides, hydrogens."""
-    if not draft.filed:
+    if not draft.file_atoms:
         for k, atom in enumerate((atom for member in draft.members for atom in member.atoms), 1):
             atom.fraction = k
     run(draft, COMPLETING)
@@ -301,7 +301,7 @@ def prepare(draft: Draft) -> Structure:
             for fragment in draft.fragments
         ),
         glycans={r: part.glycam_code for r, part in enumerate(residue_parts) if part.glycam_code},
-        origin=Origin(draft.filed, place, charge) if draft.filed and (place >= 0).any() else None,
+        origin=Origin(draft.file_atoms, place, charge) if draft.file_atoms and (place >= 0).any() else None,
     )
 
 

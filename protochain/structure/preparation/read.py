@@ -27,11 +27,18 @@ from protochain.structure.molecule.templates import (
     template_name,
 )
 from protochain.structure.preparation.complete import complete_backbone
-from protochain.structure.preparation.hetero_molecules import report_unresolved, water_named
+from protochain.structure.preparation.hetero_molecules import rename_water, report_unresolved
 from protochain.structure.preparation.ligand_chemistry import with_pose
-from protochain.structure.preparation.model_choice import Conformation, in_file, likeliest
+from protochain.structure.preparation.model_choice import Conformation, pick_altloc, residue_in_file
 from protochain.structure.preparation.parents import convert_to_parent, fullest
-from protochain.structure.preparation.structure_draft import Candidate, Changes, Draft, Omission, Part, losses
+from protochain.structure.preparation.structure_draft import (
+    Changes,
+    Draft,
+    HeteroResidue,
+    Omission,
+    Part,
+    losses,
+)
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -56,10 +63,10 @@ def read_bonds(draft: Draft) -> Changes:
             residue = residues.Residue(*ends[0][:2], bond.partner1.res_id.name)
             images.append(residues.Atom(ends[0][2], residue))
         else:
-            draft.stated.append(ends)
+            draft.stated_bonds.append(ends)
     if images:
         yield Repair.of(Kind.IMAGES, count=len(images), atoms=tuple(dict.fromkeys(images)))
-    draft.stated += _serial_bonds(draft.file, draft.model)
+    draft.stated_bonds += _serial_bonds(draft.file, draft.model)
 
 
 def _serial_bonds(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
@@ -86,7 +93,7 @@ def split_chains(draft: Draft) -> Changes:
     for chain, places in draft.places.items():
         run: list[Member] = []
         for group, letter in places:
-            conformer = likeliest(group, letter)
+            conformer = pick_altloc(group, letter)
             naming = name_by_atoms(
                 conformer.residue.name.strip().upper(), [*conformer.residue], draft.templates, components
             )
@@ -102,8 +109,8 @@ def split_chains(draft: Draft) -> Changes:
             if is_protein:
                 run.append(member)
             else:
-                candidate = water_named(member, member.raw_name)
-                draft.beside.append(Candidate(candidate, member.raw_name, notes))
+                candidate = rename_water(member, member.raw_name)
+                draft.hetero_residues.append(HeteroResidue(candidate, member.raw_name, notes))
         run = yield from _complete_backbones(draft, chain, run)
         yield from report_unresolved(run)
         yield from _split_at_breaks(draft, run)
@@ -113,7 +120,7 @@ def _report_altlocs(chain: str, conformer: Conformation) -> list[Repair]:
     """Report the choice among the alternate locations of a residue."""
     if not (conformer.others or conformer.repeated):
         return []
-    residue = in_file(chain, conformer.residue)
+    residue = residue_in_file(chain, conformer.residue)
     if not conformer.others:
         return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(conformer.repeated))]
     return [
@@ -136,7 +143,7 @@ def _read_residue(
     if is_standard and (misplaced := _misplaced_atoms(atoms)):
         atoms = [atom for atom in atoms if atom not in misplaced]
         names = tuple(atom.name for atom in misplaced)
-        yield Repair.of(Kind.NO_PLACE, residue=in_file(chain, residue), atoms=names)
+        yield Repair.of(Kind.NO_PLACE, residue=residue_in_file(chain, residue), atoms=names)
     if name in residues.NUCLEOTIDES:
         rename(atoms, draft.templates[name])
     has_backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
@@ -146,13 +153,13 @@ def _read_residue(
     member = Member(
         name, str(residue.seqid.num), residue.seqid.icode.strip(), chain, atoms, state,
         is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
-        label=(residue.subchain, residue.label_seq), given=original,
+        label=(residue.subchain, residue.label_seq), raw_name=original,
     )  # fmt: skip
     by_atoms = is_standard and standard_name(original)[0] != name
     member.is_d = member.is_d or (by_atoms and chirality(member) < 0)
     if state or by_atoms or (is_standard and original[-3:] in residues.LINKED):
         kind = Kind.STATE_NAMED if state else Kind.RENAMED
-        yield Repair.of(kind, residue=in_file(chain, residue), name=name, state=state)
+        yield Repair.of(kind, residue=residue_in_file(chain, residue), name=name, state=state)
     if name in residues.CAPS:
         rename(member.atoms, draft.templates[template_name(name)])
     if is_standard or name in residues.CAPS or not has_backbone:
@@ -257,9 +264,9 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
     for i, member in enumerate(chain):
         if not member.is_cap or (n > 1 and (i == 0 if member.name == "ACE" else i == n - 1)):
             members.append(member)
-        elif any(member.address(a.name) in ends for ends in draft.stated for a in member.heavy):
+        elif any(member.address(a.name) in ends for ends in draft.stated_bonds for a in member.heavy):
             # A cap with stated bonds, but not at the end of a chain, is a hetero molecule.
-            draft.beside.append(Candidate(member, member.name))
+            draft.hetero_residues.append(HeteroResidue(member, member.name))
         else:
             lost = losses(member, member.atoms, Reason.CAP)
             yield Repair.of(Kind.CAP, lost, residue=member.residue)
@@ -268,7 +275,7 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
         if id(members[0]) not in draft.orphans:
             yield Repair.of(Kind.ALONE, residue=members[0].residue)
         members[0].source = None
-        draft.beside.append(Candidate(members[0], members[0].name))
+        draft.hetero_residues.append(HeteroResidue(members[0], members[0].name))
     elif members:
         part = Part(members[0].chain_id, members)
         last, first = members[-1], members[0]
@@ -305,16 +312,16 @@ def add_poses(draft: Draft) -> tuple[()]:
     # As in written files, protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     order += [chain.name for chain in draft.model if chain.name not in order]
-    draft.beside.sort(key=lambda candidate: order.index(candidate.member.chain_id))
+    draft.hetero_residues.sort(key=lambda candidate: order.index(candidate.member.chain_id))
     chemistry = draft.reading.chemistry
     for path in chemistry.poses:
-        used = {(m.chain_id, m.number) for m in (*draft.members, *(b.member for b in draft.beside))}
-        names = {*chemistry.moving, *(candidate.raw_name for candidate in draft.beside)}
+        used = {(m.chain_id, m.number) for m in (*draft.members, *(b.member for b in draft.hetero_residues))}
+        names = {*chemistry.moving, *(candidate.raw_name for candidate in draft.hetero_residues)}
         chemistry, member = with_pose(chemistry, path, {chain for chain, _ in used}, names)
-        draft.beside.append(Candidate(member, member.name))
+        draft.hetero_residues.append(HeteroResidue(member, member.name))
     if chemistry is not draft.reading.chemistry:
         draft.reading = replace(draft.reading, chemistry=chemistry)
-    members = [*draft.members, *(candidate.member for candidate in draft.beside)]
+    members = [*draft.members, *(candidate.member for candidate in draft.hetero_residues)]
     refuse_crowds([atom for member in members for atom in member.atoms], draft.source)
     return ()
 

@@ -21,8 +21,8 @@ from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.model import Tie
 from protochain.structure.molecule.repairs import AtomDistance, Count, Kind, Repair
-from protochain.structure.preparation.hetero_molecules import JOINED
-from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, bonds_and_overlaps
+from protochain.structure.preparation.hetero_molecules import JOIN_CUTOFF
+from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, classify_pairs
 from protochain.structure.preparation.structure_draft import Changes, Contacts, Draft, Evidence, Part
 
 _BEYOND = 0.25
@@ -59,13 +59,13 @@ def find_links(draft: Draft) -> tuple[()]:
     glycosidic = {*draft.glycosidic}
     near = [link for link in _close_pairs(draft, protein, hetero_atoms) if _ends(link) not in glycosidic]
     # An input written by protochain lists the bonds of its hetero molecules.
-    listed = {link for link in near if draft.says_of(link.hetero) and (link.is_metal or not _has_metal(link))}
+    listed = {link for link in near if draft.lists(link.hetero) and (link.is_metal or not _has_metal(link))}
     sprung = {link for link in listed if _ends(link) in draft.springs}
     refused = list[tuple[Link, str]]()
     overlapping = list[Link]()
     bonded = {*sprung}
     if pairs := [link for link in near if not link.is_metal and link not in sprung]:
-        close = bonds_and_overlaps(draft, pairs)
+        close = classify_pairs(draft, pairs)
         refused, overlapping, bonded = close.refused, close.overlapping, {*close.bonded} - listed | sprung
     refused = [*refused, *_distant_stated_bonds(draft, protein, hetero_atoms)]
     for link in near:
@@ -119,7 +119,7 @@ def _close_pairs(draft: Draft, protein: _Owned, hetero_atoms: _Owned) -> list[Li
     """Return pairs that may be bonded: at bond distance, stated by the file, or with a metal."""
     if not (protein and hetero_atoms):
         return []
-    tree, bonds = KDTree([atom.pos.tolist() for _, atom in hetero_atoms]), {*draft.stated}
+    tree, bonds = KDTree([atom.pos.tolist() for _, atom in hetero_atoms]), {*draft.stated_bonds}
     links = []
     near = tree.query_ball_point([atom.pos.tolist() for _, atom in protein], STATED, return_sorted=True)
     for (member, atom), places in zip(protein, near, strict=True):
@@ -150,10 +150,10 @@ def _overlapping_pairs(draft: Draft, protein: _Owned) -> Iterator[Link]:
 
 def _distant_stated_bonds(draft: Draft, protein: _Owned, hetero: _Owned) -> Iterator[tuple[Link, str]]:
     """Yield stated bonds between the protein and hetero molecules that are too long, with the reason."""
-    if not draft.stated:
+    if not draft.stated_bonds:
         return
     protein_at, hetero_at = ({m.address(a.name): (m, a) for m, a in atoms} for atoms in (protein, hetero))
-    for ends in draft.stated:
+    for ends in draft.stated_bonds:
         for first, second in (ends, ends[::-1]):
             if first in protein_at and second in hetero_at:
                 link = Link(*protein_at[first], *hetero_at[second], stated=True)
@@ -197,7 +197,7 @@ def _settle_mobility(draft: Draft) -> Changes:
         # Atoms near a ligand of known chemistry are not bonded to it.
         joined = part.ligand is None and not part.is_strand and any(
             hetero_atoms[k][0] is not part
-            for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOINED)
+            for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOIN_CUTOFF)
         )  # fmt: skip
         if joined or (tied if part.ligand is None else bonded) & {id(m) for m in part.members}:
             part.evidence = Evidence.BONDED
@@ -213,13 +213,13 @@ def _settle_mobility(draft: Draft) -> Changes:
 
 def _report_unused(draft: Draft, used: Iterable[Link]) -> Changes:
     """Report stated bonds that are not used: they are too long, or their atoms were removed."""
-    if not draft.stated:
+    if not draft.stated_bonds:
         return
     atom_at = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
     noted = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
     reported = {frozenset(link.atoms) for link in used} | noted
     n_missing = 0
-    for first, second in dict.fromkeys((min(ends), max(ends)) for ends in draft.stated):
+    for first, second in dict.fromkeys((min(ends), max(ends)) for ends in draft.stated_bonds):
         if not {first, second} <= atom_at.keys():
             n_missing += 1
             continue
@@ -250,7 +250,7 @@ def stated_hetero_links(draft: Draft) -> list[Link]:
         member.address(atom.name): (member, atom)
         for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
     }  # fmt: skip
-    pairs = {frozenset(ends) for ends in draft.stated if {*ends} <= atom_at.keys()}
+    pairs = {frozenset(ends) for ends in draft.stated_bonds if {*ends} <= atom_at.keys()}
     links = (Link(*atom_at[first], *atom_at[second]) for first, second in sorted(map(sorted, pairs)))
     return [link for link in links if link.atom.pos.dist(link.hetero_atom.pos) <= STATED]
 
@@ -261,11 +261,11 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     donors = sum(link.hetero_atom is ion and link.is_metal for link in links)
     if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
         return False
-    if draft.says_of(member):
-        return not draft.says_stays(member)
+    if draft.lists(member):
+        return not draft.lists_as_fixed(member)
     other_hetero = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
-    heavy = (a for m in (*other_hetero, *draft.absent) for a in m.heavy)
+    heavy = (a for m in (*other_hetero, *draft.omitted) for a in m.heavy)
     return all(ion.pos.dist(a.pos) > STATED for a in heavy)
 
 
@@ -306,7 +306,7 @@ def _metal_links(draft: Draft) -> list[Link]:
             ends = member.address(donor.name), metal_residue.address(metal.name)
             link = Link(member, donor, metal_residue, metal, draft.has_bond(*ends))
             # An input written by protochain lists the bonds of its metals.
-            if ends in draft.springs if draft.says_of(metal_residue) else link.is_coordinated:
+            if ends in draft.springs if draft.lists(metal_residue) else link.is_coordinated:
                 links.append(link)
     return links
 
@@ -428,7 +428,7 @@ def _report_ignored(draft: Draft, cysteines: list[Member], bridges: list[Bridge]
     """Report stated disulfide bonds that are too long."""
     at = {(m.chain_id, m.seqid, "SG"): m for m in cysteines if m.atom("SG") and not m.metals}
     used = [set(map(id, pair)) for pair in bridges]
-    for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
+    for first, second in [(at[a], at[b]) for a, b in draft.stated_bonds if a in at and b in at]:
         if {id(first), id(second)} not in used:
             yield Repair.of(
                 Kind.BRIDGE_IGNORED, first=first.residue, second=second.residue,

@@ -27,7 +27,7 @@ from protochain.structure.molecule.templates import (
     templates,
 )
 
-Charging = tuple[Molecule, tuple[Charged, ...]]
+ChargedMolecule = tuple[Molecule, tuple[Charged, ...]]
 """A molecule as it is at a pH, and what was charged."""
 
 
@@ -42,33 +42,33 @@ class Chemistry:
     has_glycam: bool = True  # Whether the force field is one that GLYCAM-06j goes with.
     has_sage: bool = True  # Whether it is one that Sage goes with where molecules are bonded to residues.
     # Poses that were added, by the name of the residue.
-    posed: Mapping[str, Charging] = field(default_factory=dict, compare=False)
+    posed: Mapping[str, ChargedMolecule] = field(default_factory=dict, compare=False)
 
     @classmethod
-    def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
+    def parse(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
         """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
-        given = checks.ligands(ligands, "ligands")
+        sources = checks.ligands(ligands, "ligands")
         charges = checks.charges_of_ligands(ligand_charges, "ligand_charges")
         glycam = not forcefield or HAS_GLYCAM in forcefield
-        return cls(given, charges, ph, glycam, glycam or HAS_SAGE in forcefield)
+        return cls(sources, charges, ph, glycam, glycam or HAS_SAGE in forcefield)
 
     @property
-    def named(self) -> dict[str, str]:
+    def user_sources(self) -> dict[str, str]:
         """What is given, by the name of the residue."""
-        return {name: given for name, given in self.sources if name}
+        return {name: source for name, source in self.sources if name}
 
     @property
     def moving(self) -> set[str]:
         """Names of residues that are to move, whatever else is kept."""
-        return {*self.named, *self.posed}
+        return {*self.user_sources, *self.posed}
 
     @property
     def poses(self) -> list[str]:
         """Paths of the molecules to add."""
-        return [given for name, given in self.sources if not name]
+        return [source for name, source in self.sources if not name]
 
 
-AS_KNOWN = Chemistry()
+DEFAULT_CHEMISTRY = Chemistry()
 """Of the file, or of the dictionary."""
 
 
@@ -86,7 +86,7 @@ class Reading:
     # Force-field files whose residues are recognised besides the bundled ones.
     forcefield: tuple[Path, ...] = ()
     chains: tuple[str, ...] = ()  # Names of the chains to take; all by default.
-    chemistry: Chemistry = AS_KNOWN  # Of ligands.
+    chemistry: Chemistry = DEFAULT_CHEMISTRY  # Of ligands.
     # Convert modified residues to their standard parents, also those that have parameters.
     standard_residues: bool = False
     assembly: str = ""  # Name of the biological assembly to build; none by default.
@@ -101,7 +101,7 @@ class Reading:
 
 
 @dataclass(eq=False)
-class Candidate:
+class HeteroResidue:
     """A residue that is no part of the protein."""
 
     member: Member
@@ -176,13 +176,13 @@ class Part:
         """Whether it is of nucleotides, also modified ones."""
         return self.members[0].name in residues.NUCLEOTIDES or (self.obstacle and len(self.members) > 1)
 
-    def around(self, i: int) -> tuple[Member | None, Member | None]:
+    def neighbours(self, i: int) -> tuple[Member | None, Member | None]:
         """Residues before and after one, if there are any."""
         n = len(self.members)
         before = self.members[i - 1] if i or self.cyclic else None
         return before, self.members[(i + 1) % n] if i + 1 < n or self.cyclic else None
 
-    def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
+    def template(self, force_field: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
         member = self.members[i]
         if isinstance(member.source, Template):
@@ -192,14 +192,14 @@ class Part:
         linked = {atom.name for atom in member.links}
         ends = (i == 0 and not linked & {"N", "P"}, i == len(self.members) - 1 and not linked & {"C", "O3'"})
         if ends == (True, False) and member.name in residues.NUCLEOTIDES and member.atom("P"):
-            return known.get(PHOSPHATE_END + member.name)
+            return force_field.get(PHOSPHATE_END + member.name)
         if member.name in residues.NUCLEOTIDES:
-            return known.get(
+            return force_field.get(
                 member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
             )
         if self.obstacle or self.cyclic or member.is_cap or not any(ends):
-            return known.get(name)
-        return known.get(("N" if ends[0] else "C") + name)
+            return force_field.get(name)
+        return force_field.get(("N" if ends[0] else "C") + name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ class Contacts:
     """Close pairs of atoms of the protein and molecules outside it, as they are before their chemistry."""
 
     protein: list[tuple[Member, gemmi.Atom]] = field(default_factory=list)  # Heavy atoms.
-    sprung: list[Link] = field(default_factory=list)  # Bonds that the file says springs hold.
+    spring_links: list[Link] = field(default_factory=list)  # Bonds that the file says springs hold.
     refused: list[tuple[Link, str]] = field(default_factory=list)  # Bonds of the file that cannot be.
     overlapping: list[Link] = field(default_factory=list)  # As near as bonded atoms, and not bonded.
 
@@ -251,9 +251,9 @@ class Draft:
     places: dict[str, list[tuple[list[gemmi.Residue], str]]] = field(default_factory=dict)
     runs: list[list[Member]] = field(default_factory=list)  # Unbroken pieces of the protein's chains.
     orphans: set[int] = field(default_factory=set)  # ``id`` of unknown amino acids without a parent.
-    beside: list[Candidate] = field(default_factory=list)  # Residues outside the protein.
+    hetero_residues: list[HeteroResidue] = field(default_factory=list)  # Residues outside the protein.
     # Bonds between residues that the file states.
-    stated: list[tuple[Address, Address]] = field(default_factory=list)
+    stated_bonds: list[tuple[Address, Address]] = field(default_factory=list)
     # Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
     glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
     contacts: Contacts = field(default_factory=Contacts)
@@ -269,10 +269,10 @@ class Draft:
     # Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
     # stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
-    absent: list[Member] = field(default_factory=list)  # The molecules left out.
+    omitted: list[Member] = field(default_factory=list)  # The molecules left out.
     header: str = ""  # What the file says beside its atoms, as mmCIF text.
     model_number: int = 1  # Number of the model in the file.
-    filed: tuple[str, ...] = ()  # Atoms of the model in the file, in its order.
+    file_atoms: tuple[str, ...] = ()  # Atoms of the model in the file, in its order.
 
     @cached_property
     def templates(self) -> Mapping[str, Template]:
@@ -286,27 +286,27 @@ class Draft:
 
     def has_bond(self, first: Address, second: Address) -> bool:
         """Whether the file states a bond."""
-        return (first, second) in self.stated or (second, first) in self.stated
+        return (first, second) in self.stated_bonds or (second, first) in self.stated_bonds
 
-    def says_of(self, member: Member) -> bool:
+    def lists(self, member: Member) -> bool:
         """Whether the file says which springs hold a molecule kept with the protein, or that none does."""
-        return (member.chain_id, member.seqid) in self._held
+        return (member.chain_id, member.seqid) in self._recorded_atoms
 
-    def says_stays(self, member: Member) -> bool:
+    def lists_as_fixed(self, member: Member) -> bool:
         """Whether the file says that a molecule kept with the protein stays in place."""
-        return 1 in self._held.get((member.chain_id, member.seqid), ())
+        return 1 in self._recorded_atoms.get((member.chain_id, member.seqid), ())
 
     @cached_property
-    def _held(self) -> Mapping[tuple[str, str], set[int]]:
+    def _recorded_atoms(self) -> Mapping[tuple[str, str], set[int]]:
         """Numbers of atoms, one or two, of what the file says of each molecule kept with the protein."""
-        found: dict[tuple[str, str], set[int]] = {}
+        counts: dict[tuple[str, str], set[int]] = {}
         for atoms in self.springs:
             if len(atoms) < 3:
-                found.setdefault(atoms[-1][:2], set()).add(len(atoms))
-        return found
+                counts.setdefault(atoms[-1][:2], set()).add(len(atoms))
+        return counts
 
 
-def losses(member: Member, atoms: Iterable[gemmi.Atom], why: Reason) -> tuple[Loss, ...]:
+def losses(member: Member, atoms: Iterable[gemmi.Atom], cause: Reason) -> tuple[Loss, ...]:
     """Tell of the heavy atoms among those of a residue, if there are any, that they are lost."""
-    names = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
-    return (Loss(member.chain_id, member.seqid, member.raw_name or member.name, names, why),) if names else ()
+    lost = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
+    return (Loss(member.chain_id, member.seqid, member.raw_name or member.name, lost, cause),) if lost else ()

@@ -8,7 +8,7 @@ from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.model import Structure
-from protochain.structure.preparation.model_choice import likeliest, same_place
+from protochain.structure.preparation.model_choice import group_alternates, pick_altloc
 from protochain.structure.preparation.read import standard_parent
 
 
@@ -18,8 +18,8 @@ def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
     carbon = app.Element.getBySymbol("C")
     for chain in next(m for m in parsed if m.num == model):
         added_chain = topology.addChain(chain.name.strip())
-        for group in same_place(chain):
-            residue = likeliest(group, "").residue
+        for group in group_alternates(chain):
+            residue = pick_altloc(group, "").residue
             name = standard_parent(residue.name.strip().upper())
             atom = residue.find_atom("CA", "*")
             if name in residues.STANDARD and atom:
