@@ -22,7 +22,7 @@ from protochain.structure.preparation.hetero_molecules import (
 )
 from protochain.structure.preparation.model_choice import group_alternates, pick_altloc
 from protochain.structure.preparation.prepare import run
-from protochain.structure.preparation.recognise import by_element
+from protochain.structure.preparation.recognise import template_by_element
 from protochain.structure.preparation.sites import measure, moves, ties
 from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
 
@@ -339,7 +339,7 @@ def test_molecules_by_element_have_bonds_by_distance():
     reach = [gemmi.Element(e).covalent_r for e in "CO"]
     assert 1.7 < sum(reach) + 0.4 < 1.9
     ligand.atoms[1].charge = -1
-    made = by_element(ligand)
+    made = template_by_element(ligand)
     assert made.name == "LIG" and made.synonyms == {}
     assert made.element == {"C1": "C", "O1": "O", "O2": "O", "C2": "C", "H1": "H", "H2": "H"}
     assert made.charge == {"C1": 0.0, "O1": -1.0, "O2": 0.0, "C2": 0.0, "H1": 0.0, "H2": 0.0}
@@ -422,7 +422,7 @@ def sugar(*extra):
     ring = {"C1": (0, 0, 0), "C2": (-0.5, 1.44, 0), "O5": (-0.48, -0.68, 1.16), "C5": (-1.9, -0.7, 1.2)}
     atoms = [atom(name, name[0], list(map(float, x))) for name, x in ring.items()]
     made = Member("NAG", "5", "", "B", [*atoms, *(atom(name, name[0], list(x)) for name, x in extra)])
-    made.source = by_element(made)
+    made.source = template_by_element(made)
     return made
 
 

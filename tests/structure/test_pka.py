@@ -10,7 +10,7 @@ from fixtures.samples import STRUCTURES, shared
 import protochain as pc
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind
-from protochain.structure.preparation.protonate import _at_ph
+from protochain.structure.preparation.protonate import _state_at_ph
 
 STATES = {"ASP": "ASH", "GLU": "GLH", "HIS": "HIP", "CYS": "CYM", "LYS": "LYN"}
 
@@ -61,6 +61,6 @@ def test_without_the_package_one_line_says_what_to_install(monkeypatch):
 
 def test_an_acid_that_holds_a_metal_has_no_proton_at_any_ph():
     member = Member("ASP", "1", "", "A", [atom("OD1", "O", [0.0, 0.0, 0.0])])
-    assert _at_ph(member, 2.0) == "ASH"
+    assert _state_at_ph(member, 2.0) == "ASH"
     member.metals.append(member.atoms[0])
-    assert _at_ph(member, 2.0) == ""
+    assert _state_at_ph(member, 2.0) == ""

@@ -58,7 +58,7 @@ def test_hydrogens_of_the_file_show_a_state(residue, state):
     ],
 )  # fmt: skip
 def test_a_state_changes_at_its_pka(name, pka, below, above):
-    found = [module._at_ph(named(name), ph) for ph in (0.0, pka, pka + 0.01, 14.0)]
+    found = [module._state_at_ph(named(name), ph) for ph in (0.0, pka, pka + 0.01, 14.0)]
     assert found == [below, below, above, above]
 
 
@@ -71,7 +71,7 @@ MADE = Template(
 def matched(*atoms):
     """Number renamed, atoms afterwards (name, x, y, z, B), and what is said."""
     draft, one = Draft("x", "x"), member("XXX", 1, *atoms)
-    renamed = collected(draft, module._match(one, MADE))
+    renamed = collected(draft, module._match_hydrogens(one, MADE))
     after = [(a.name, *np.round(a.pos.tolist(), 6).tolist(), a.b_iso) for a in one.atoms]
     assert [a.element.name for a in one.atoms] == [a.name[0] for a in one.atoms]
     return renamed, after, sentences(draft)
@@ -193,4 +193,4 @@ def test_a_ph_is_between_0_and_14():
 def test_a_pair_of_electrons_that_is_bonded_bears_no_hydrogen(name, metal, linked, state):
     one = named(name, *metal, *linked)
     one.metals, one.links = one.atoms[: len(metal)], one.atoms[len(metal) :]
-    assert module._free_pair(one) == state
+    assert module._lone_pair(one) == state

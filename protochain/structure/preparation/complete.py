@@ -16,11 +16,11 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Par
 from protochain.structure.sidechains.ideal import Places, bridge_gaps, ideal, place_points, unit
 from protochain.structure.sidechains.sites import Site
 
-_ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
+_TERMINAL_OXYGENS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
 """Terminal oxygens: bonded atom, its other neighbours, and bond length (angstrom) in ff14SB and OL15."""
 _CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
 """Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
-_FLAT = 0.1
+_MIN_AREA = 0.1
 """Angstrom^2: N, CA and C are collinear if the cross product of their bonds is smaller."""
 _DECIMALS = 4
 """Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
@@ -29,16 +29,16 @@ _BONDS = {
     ("CA", "CB"): 1.532,
 }  # fmt: skip
 """Angstrom: Engh, Huber, International Tables for Crystallography F, 18.3 (2001)."""
-_ACROSS = {
+_ANGLE_DISTANCES = {
     ("CA-", "N"): 2.43, ("O-", "N"): 2.25, ("C-", "CA"): 2.43, ("N", "C"): 2.46, ("N", "CB"): 2.46,
     ("C", "CB"): 2.50, ("CA", "O"): 2.40, ("CA", "N+"): 2.43, ("O", "N+"): 2.25, ("C", "CA+"): 2.43,
 }  # fmt: skip
 """Angstrom: distances across an angle, from the same source."""
-_TRANS = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
+_TRANS_DISTANCES = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
 """Angstrom: across a trans peptide bond (cis: 2.9). For one missing atom the other distances suffice."""
-_OFF = 0.25
+_MAX_DEVIATION = 0.25
 """Angstrom: largest deviation of a bond of a rebuilt atom."""
-_STARTS = 8
+_N_STARTS = 8
 
 
 def add_heavy_atoms(draft: Draft) -> Changes:
@@ -100,7 +100,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Chan
 
 def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
     """Build the last oxygen of a carboxylate or a 5' phosphate, opposite to the other neighbours."""
-    centre, neighbours, distance = _ENDS[name]
+    centre, neighbours, distance = _TERMINAL_OXYGENS[name]
     at, *near = (np.array(a.pos.tolist()) for label in (centre, *neighbours) if (a := member.atom(label)))
     arms = np.array(near) - at
     away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
@@ -190,7 +190,7 @@ def _check_backbone(draft: Draft, member: Member) -> None:
                 f"{draft.source}: {member}: atom {name} missing; build it, or remove the residue"
             )
     n, alpha, c = (places[name] for name in residues.BACKBONE)
-    if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _FLAT:
+    if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _MIN_AREA:
         raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 
 
@@ -270,7 +270,7 @@ def _solve_positions(missing: Sequence[str], at: dict[str, Floats]) -> Floats | 
     ends = {"N": ("C-", "CA-"), "CA": (), "C": ("N+", "CA+")}
     if not {end for name in missing for end in ends[name]} <= at.keys():
         return None
-    usual = _BONDS | _ACROSS | (_TRANS if len(missing) > 1 else {})
+    usual = _BONDS | _ANGLE_DISTANCES | (_TRANS_DISTANCES if len(missing) > 1 else {})
     pairs = [(pair, d) for pair, d in usual.items() if {*pair} & {*missing} and {*pair} <= {*missing, *at}]
     if len(pairs) <= 3 * len(missing):  # Positions are not determined.
         return None
@@ -286,8 +286,8 @@ def _solve_positions(missing: Sequence[str], at: dict[str, Floats]) -> Floats | 
         return np.asarray(weight * deviations(x))
 
     near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
-    starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
+    starts = near + np.random.default_rng(0).normal(size=(_N_STARTS, len(missing), 3))
     fits = [least_squares(residuals, start.ravel()) for start in starts]
     best = min(fits, key=lambda fit: float(fit.cost))
     bonds = [abs(error) for error, (pair, _) in zip(deviations(best.x), pairs, strict=True) if pair in _BONDS]
-    return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None
+    return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _MAX_DEVIATION else None

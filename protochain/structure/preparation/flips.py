@@ -25,14 +25,14 @@ _REACH, _PAIR = 6.0, 8.5
 """Angstrom: search radii around a pivot, and between two. Ends are within 2.4 of it, bonds within 3.7."""
 _BONDED = 1.9
 """Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
-_UPON = 1e-9
+_TINY = 1e-9
 """Angstrom: least length of a direction."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
 _BENT = np.deg2rad(115.0)
 """Rad: angle at a donor between its only neighbour and the acceptor."""
-_LEAST_DIRECTED, _LEAST_IN_FRONT = 0.5, -0.2
+_MIN_DONOR_COSINE, _MIN_ACCEPTOR_COSINE = 0.5, -0.2
 """Least cosines: of a donor's hydrogen with the acceptor, and of the acceptor's bond with the donor."""
-_METAL = 2.0
+_METAL_WEIGHT = 2.0
 """Weight of a metal near an oxygen or nitrogen of an amide, in hydrogen bonds."""
 _RING = {"ND1": ("CG", "CE1"), "NE2": ("CD2", "CE1"), "CD2": ("CG", "NE2"), "CE1": ("ND1", "NE2")}
 """Ring atoms that have a hydrogen or a lone pair, and their neighbours."""
@@ -45,14 +45,14 @@ _TURNING = {
 """Atoms beyond the axis. The oxygen of an amide comes first."""
 TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
 """The nitrogen that has the hydrogen. The first of two equal tautomers is chosen."""
-_TURNABLE = 0.75
+_HYDROXYL_WEIGHT = 0.75
 """Weight of a bond of a hydroxyl or water to a nitrogen, because the hydroxyl may turn elsewhere."""
-_CONTACTS, _CONTACT_REACH = 1.5, 8.0
+_CONTACT, _CONTACT_REACH = 1.5, 8.0
 """Hydrogen bonds per unit of the contact score, and angstrom from a pivot to atoms that touch its ends."""
-_WRONG, _PRIOR, _SCALE = 0.1, 4.0, 1.25
+_PRIOR_SHARE, _PRIOR_SITES, _SCALE = 0.1, 4.0, 1.25
 """Prior share of wrong orientations, its weight in sites, and hydrogen bonds per factor e in the odds. Word
 et al. find 20 % of amides wrong. A site is flipped for a gain of 2.7, or less if other sites are wrong."""
-_SPARED = 1
+_IGNORED_SITES = 1
 """Number of the likeliest errors that the estimate of the share ignores."""
 _ROUNDS = 12
 """Iterations of the estimate, by expectation and maximisation."""
@@ -107,7 +107,7 @@ def choose_flips(templated: Iterable[tuple[Member, Template | None]]) -> tuple[d
         polar = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
         atoms_near = atoms.subset([k for k in touched if residue_of[k] != id(member)])
         contacts = [score(*_surface(member.name, state), atoms_near) for state in choices]
-        energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACTS * np.array(contacts))
+        energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACT * np.array(contacts))
     near = sorted(KDTree(pivots).query_pairs(_PAIR))
     tables = {(i, j): np.array([[_pair_energy(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
     pairs = {ends: table for ends, table in tables.items() if table.any()}
@@ -135,14 +135,14 @@ def _choose_states(
     # Imported here: it imports numba, which would slow every start of the program.
     from protochain.structure.sidechains.assignment import eliminate_sites
 
-    share = _WRONG
+    share = _PRIOR_SHARE
     for _ in range(_ROUNDS):
         cost = _SCALE * float(np.log((1.0 - share) / share))
         states = eliminate_sites([e + cost * flip for e, flip in zip(energies, turned, strict=True)], pairs)
         gains = _gains(energies, pairs, turned, states)
         probability = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
-        counted = np.sort(probability)[:-_SPARED]
-        share = min(0.5, (_WRONG * _PRIOR + float(counted.sum())) / (_PRIOR + len(counted)))
+        counted = np.sort(probability)[:-_IGNORED_SITES]
+        share = min(0.5, (_PRIOR_SHARE * _PRIOR_SITES + float(counted.sum())) / (_PRIOR_SITES + len(counted)))
     return states
 
 
@@ -175,7 +175,7 @@ def _states(member: Member) -> list[State]:
     """Return the states of a site, the file's state first."""
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     start, pivot = _AXIS[member.name]
-    axis = (at[pivot] - at[start]) / max(float(np.linalg.norm(at[pivot] - at[start])), _UPON)
+    axis = (at[pivot] - at[start]) / max(float(np.linalg.norm(at[pivot] - at[start])), _TINY)
     arms = {name: at[name] - at[pivot] for name in at.keys() & {*_TURNING[member.name]}}
     flipped = {**at, **{name: at[pivot] + 2.0 * (arm @ axis) * axis - arm for name, arm in arms.items()}}
     states = []
@@ -227,20 +227,20 @@ def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> floa
         for end in (oxygen, nitrogen):
             vector = atom.x - end.x
             # Atoms of poor models coincide.
-            length = max(float(np.linalg.norm(vector)), _UPON)
+            length = max(float(np.linalg.norm(vector)), _TINY)
             share = min(1.0, (_FARTHEST - length) / (_FARTHEST - _FULL))
             if share <= 0.0:
                 continue
             if atom.is_metal:
-                energy += _METAL * share * (1.0 if end.is_donor else -1.0)
+                energy += _METAL_WEIGHT * share * (1.0 if end.is_donor else -1.0)
             elif atom.is_donor == end.is_donor:
                 energy += share
             elif end.is_donor:
                 directed = _amine_cosine(end, vector / length)
-                energy -= share * directed * (directed > _LEAST_DIRECTED)
-            elif out[end] @ vector > _LEAST_IN_FRONT * length * np.linalg.norm(out[end]):
+                energy -= share * directed * (directed > _MIN_DONOR_COSINE)
+            elif out[end] @ vector > _MIN_ACCEPTOR_COSINE * length * np.linalg.norm(out[end]):
                 directed = _donor_cosine(atom, -vector / length)
-                energy -= share * directed * (directed > _LEAST_DIRECTED)
+                energy -= share * directed * (directed > _MIN_DONOR_COSINE)
     return energy
 
 
@@ -252,9 +252,9 @@ def _amine_cosine(nitrogen: Polar, way: Floats) -> float:
 def _amine_directions(nitrogen: Polar) -> list[Floats]:
     """Return the directions (3,) of the two N-H bonds of an amide."""
     pivot, start = nitrogen.bonded
-    out = (nitrogen.x - pivot) / max(float(np.linalg.norm(nitrogen.x - pivot)), _UPON)
+    out = (nitrogen.x - pivot) / max(float(np.linalg.norm(nitrogen.x - pivot)), _TINY)
     aside = cross(out, cross(out, start - pivot))
-    aside /= max(float(np.linalg.norm(aside)), _UPON)
+    aside /= max(float(np.linalg.norm(aside)), _TINY)
     return [0.5 * out + sign * np.sqrt(0.75) * aside for sign in (1.0, -1.0)]
 
 
@@ -272,7 +272,7 @@ def _surface(name: str, state: State) -> tuple[Spheres, Floats]:
             rows.append((at[atom], RADII[atom[0]], False, not (is_carbon or has_hydrogen)))
             if is_carbon or has_hydrogen:
                 out = 2.0 * at[atom] - at[first] - at[second]
-                out = out / max(float(np.linalg.norm(out)), _UPON)
+                out = out / max(float(np.linalg.norm(out)), _TINY)
                 rows.append((at[atom] + (1.08 if is_carbon else 1.01) * out, POLAR, not is_carbon, False))
     x, radius, is_donor, is_acceptor = (np.array(column) for column in zip(*rows, strict=True))
     stem = [at[atom] for atom in ("CA", "CB", "CG", "CD") if atom in at and atom not in _TURNING[name]]
@@ -281,11 +281,11 @@ def _surface(name: str, state: State) -> tuple[Spheres, Floats]:
 
 def _donor_cosine(donor: Polar, way: Floats) -> float:
     """Return the cosine between a direction and a donor's nearest hydrogen, or 1 if it has no bonds."""
-    arms = [bond / max(float(np.linalg.norm(bond)), _UPON) for bond in donor.bonded - donor.x]
+    arms = [bond / max(float(np.linalg.norm(bond)), _TINY) for bond in donor.bonded - donor.x]
     if len(arms) == 1:
         return float(np.cos(np.arccos(np.clip(arms[0] @ way, -1.0, 1.0)) - _BENT))
     out = -np.sum(arms, axis=0)
-    return float(out @ way / max(np.linalg.norm(out), _UPON)) if arms else 1.0
+    return float(out @ way / max(np.linalg.norm(out), _TINY)) if arms else 1.0
 
 
 def _ring_energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydrogen: bool) -> float:
@@ -293,14 +293,14 @@ def _ring_energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has
     reach = _CARBON if name[0] == "C" else _HYDROGEN_BOND
     first, second = _RING[name]
     out = 2.0 * at[name] - at[first] - at[second]
-    out = out / max(float(np.linalg.norm(out)), _UPON)
+    out = out / max(float(np.linalg.norm(out)), _TINY)
     energy = 0.0
     for atom in near:
         vector = atom.x - (at[name] + out)
         if np.linalg.norm(atom.x - at[name]) > reach or vector @ out <= _STRAIGHT * np.linalg.norm(vector):
             continue
         if name[0] == "N" and (atom.is_acceptor if has_hydrogen else atom.is_donor):
-            energy -= 1.0 if has_hydrogen or not atom.is_acceptor else _TURNABLE
+            energy -= 1.0 if has_hydrogen or not atom.is_acceptor else _HYDROXYL_WEIGHT
         else:
             energy += 1.0
     return energy

@@ -34,13 +34,13 @@ from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, has_usual_angles
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
 
-_BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
+_BEARING_ATOMS = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
 """Protein atoms that bear sugars."""
-_FREE = "-ROH"
+_REDUCING = "-ROH"
 """Suffix of the code of a sugar at a free reducing end."""
 _REACH = 2.0
 """Angstrom: search radius of bonds."""
-_CLEAR = 0.1
+_MAX_DEVIATION = 0.1
 """Angstrom: largest deviation of a bond's length if the hydroxyl that the bond replaces is present."""
 
 _OwnedAtom = tuple[Member, gemmi.Atom]
@@ -101,7 +101,7 @@ def _sugar_code(member: Member, links: Sequence[Link]) -> str:
     is_linked = any(link.hetero is member for link in links)
     hydroxyl = _hydroxyl(member)
     is_free = not is_linked and hydroxyl is not None and hydroxyl not in bearing
-    return glycam_code(letters, (atom.name for atom in bearing)) + (_FREE if is_free else "")
+    return glycam_code(letters, (atom.name for atom in bearing)) + (_REDUCING if is_free else "")
 
 
 def _hydroxyl(member: Member) -> gemmi.Atom | None:
@@ -171,8 +171,8 @@ class _Surroundings:
         candidates = [
             link
             for link in self._pairs(sugar, carbon)
-            if self._bears(link.member, link.atom)
-            and (hydroxyl is None or abs(link.excess) <= _CLEAR)
+            if self._can_bear(link.member, link.atom)
+            and (hydroxyl is None or abs(link.excess) <= _MAX_DEVIATION)
             and has_usual_angles(_bonded_atoms(link.member, link.atom), link.atom, carbon)
             and has_usual_angles(inner, carbon, link.atom)
         ]
@@ -184,10 +184,10 @@ class _Surroundings:
         links = (Link(m, a, member, atom) for m, a in near if m is not member)
         return [x for x in links if not is_metal(x.atom.element.name) and abs(x.excess) <= COVALENT_SLACK]
 
-    def _bears(self, member: Member, atom: gemmi.Atom) -> bool:
+    def _can_bear(self, member: Member, atom: gemmi.Atom) -> bool:
         """Whether an atom can bear a sugar."""
         if id(member) in self.protein:
-            return _BEARING.get(member.name) == atom.name
+            return _BEARING_ATOMS.get(member.name) == atom.name
         return id(member) in self.sugars and glycam_code(SUGARS[member.name], [atom.name]) in _residues()
 
     def refusals(
@@ -198,15 +198,15 @@ class _Surroundings:
         modelled = {frozenset((id(link.atom), id(link.hetero_atom))) for link in links}
         for link in links:
             first, second = link.atoms
-            if not self._bears(link.member, link.atom) or borne[id(link.atom)] > 1:
+            if not self._can_bear(link.member, link.atom) or borne[id(link.atom)] > 1:
                 yield f"GLYCAM-06j has no bond of {second} to {first}"
             if link.length < SHORTEST or link.excess > STATED_SLACK:
                 yield f"the bond of {second} to {first} is {link.length:.2f} angstrom long"
         for member in members:
             code = codes[id(member)]
-            if not any(link.hetero is member for link in links) and code[0] != "1" and _FREE not in code:
+            if not any(link.hetero is member for link in links) and code[0] != "1" and _REDUCING not in code:
                 yield f"{anomeric_carbon(member.name)} of {member} is bonded to no other residue"
-            if code.removesuffix(_FREE) not in _residues():
+            if code.removesuffix(_REDUCING) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
             heavy_names = {a.name for a in member.heavy}
@@ -249,13 +249,13 @@ def parameters(codes: frozenset[str]) -> bytes:
     """Return GLYCAM's file with these residues only. All residues are slow, and replace hydroxyproline."""
     names = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
     text = _RESIDUE.sub(lambda match: match[1] if match[2] in names else "", GLYCAM.read_text())
-    free = "".join(_residue_text(code) for code in sorted(codes) if _FREE in code)
+    free = "".join(_residue_text(code) for code in sorted(codes) if _REDUCING in code)
     return text.replace("</Residues>", f"{free}</Residues>", 1).encode()
 
 
 def _residue_text(code: str) -> str:
     """Return the text of a residue. A reducing end includes the hydroxyl, a separate GLYCAM residue."""
-    if _FREE not in code:
+    if _REDUCING not in code:
         return _residues()[code]
     node, hydroxyl = (ElementTree.fromstring(_residues()[name]) for name in code.split("-"))
     (end,) = (bond for bond in node.iterfind("ExternalBond") if bond.get("atomName", "")[0] == "C")
@@ -273,7 +273,7 @@ def _template(member: Member, code: str) -> Template:
     ends = [(str(bond.get("atomName1")), str(bond.get("atomName2"))) for bond in node.iterfind("Bond")]
     pdb_name = {glycam: name for name, glycam in glycam_names(member.name).items()}
     pdb_name = {name: pdb_name.get(name, name) for name in charges}
-    if _FREE in code:
+    if _REDUCING in code:
         pdb_name["O1"] = "O" + anomeric_carbon(member.name)[1:]
     for parent in (name for name in charges if name[0] != "H"):
         hydrogens = [end for bond in ends if parent in bond for end in bond if end[0] == "H"]

@@ -23,7 +23,7 @@ from protochain.structure.molecule.repairs import KEEP_ALL, Count, Kind, Loss, R
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation import glycans
 from protochain.structure.preparation.linkage import STATED
-from protochain.structure.preparation.recognise import by_element, find_template
+from protochain.structure.preparation.recognise import find_template, template_by_element
 from protochain.structure.preparation.structure_draft import (
     Changes,
     Draft,
@@ -293,7 +293,7 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
                 charge_cluster(member.name, member.atoms)
-                member.source = member.source if member.is_unknown else by_element(member)
+                member.source = member.source if member.is_unknown else template_by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
                 is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
@@ -346,7 +346,7 @@ def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[P
                 one.links += [atom for atom in one.atoms if atom.name == name]
         pieces[-1].members.append(member)
     for member in strange:
-        member.source = by_element(member)
+        member.source = template_by_element(member)
     yield Repair.of(
         Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
     )

@@ -10,7 +10,7 @@ from protochain.structure.molecule.templates import archive_parent, other_names
 from protochain.structure.preparation.structure_draft import Changes, Draft, losses
 
 
-def fullest(name: str) -> str:
+def full_state(name: str) -> str:
     """Return the protonation state of an amino acid with all atoms of its other states."""
     return "HIP" if name == "HIS" else name
 
@@ -18,7 +18,7 @@ def fullest(name: str) -> str:
 def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
     residue, parent, original = member.residue, member.parent or archive_parent(member.name), member.name
-    usual = draft.templates[fullest(parent)]
+    usual = draft.templates[full_state(parent)]
     expected = {*usual.element, *other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
     for name in set(usual.heavy) - {atom.name for atom in member.atoms}:
         # Selenium, or a sulphur of another name, becomes the parent's sulphur.

@@ -16,14 +16,14 @@ from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import Residue
 from protochain.structure.preparation.structure_draft import Changes, Draft
 
-_THINNEST = 3.0
+_MIN_CELL = 3.0
 """Angstrom. No molecule has a cell as thin as this. Files without a box state 1 angstrom or 0."""
 _BONDED, _LINKED = 2.2, 3.0
 """Angstrom: longest bonds within residues, and between residues, also in models with distorted bonds."""
 _DISULFIDE = 2.5
 _CONTACT = 6.0
 """Angstrom between heavy atoms of molecules that touch, as in frames."""
-_LARGEST = 2000
+_MAX_ATOMS = 2000
 """Atoms of the largest residue that is examined."""
 _LINKS = (("C", "N"), ("O3'", "P"))
 
@@ -40,20 +40,20 @@ class _Molecules:
         self.lattice = np.array(cell.orth.mat.tolist()).T
         self.to_fractions = np.linalg.inv(self.lattice)
         self.x = np.array([atom.pos.tolist() for atom in self.atoms])
-        self.turns = np.zeros((len(self.x), 3))
+        self.shifts = np.zeros((len(self.x), 3))
         self.piece = np.arange(len(sizes))
         owner = self.residue_of.tolist()
         self.ends = {(owner[k], a.name): k for k, a in enumerate(self.atoms) if a.name in {*sum(_LINKS, ())}}
 
     def positions(self, atoms: Integers) -> Floats:
         """Return the positions of atoms after their moves."""
-        return np.asarray(self.x[atoms] + self.turns[atoms] @ self.lattice)
+        return np.asarray(self.x[atoms] + self.shifts[atoms] @ self.lattice)
 
     def nearest_image(self, first: int, second: int) -> tuple[Floats, float, float]:
-        """Return the turns to another atom's nearest image, and the distances with and without them."""
+        """Return the shifts to another atom's nearest image, and the distances with and without them."""
         vector = np.diff(self.positions(np.array([first, second])), axis=0)[0]
-        turns = np.round(vector @ self.to_fractions)
-        return turns, float(np.linalg.norm(vector - turns @ self.lattice)), float(np.linalg.norm(vector))
+        shifts = np.round(vector @ self.to_fractions)
+        return shifts, float(np.linalg.norm(vector - shifts @ self.lattice)), float(np.linalg.norm(vector))
 
     def join_within(self) -> None:
         """Move the atoms of each residue together."""
@@ -68,14 +68,14 @@ class _Molecules:
         wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)
         for residue in np.flatnonzero(wide).tolist():
             atoms = np.arange(self.starts[residue], self.starts[residue + 1])
-            if len(atoms) <= _LARGEST:
-                self.turns[atoms] = self._turns(self.x[atoms], self.residues[residue][1])
+            if len(atoms) <= _MAX_ATOMS:
+                self.shifts[atoms] = self._residue_shifts(self.x[atoms], self.residues[residue][1])
 
-    def _turns(self, x: Floats, residue: gemmi.Residue) -> Floats:
-        turns = np.zeros((len(x), 3))
+    def _residue_shifts(self, x: Floats, residue: gemmi.Residue) -> Floats:
+        shifts = np.zeros((len(x), 3))
         direct = KDTree(x).query_pairs(_BONDED, output_type="ndarray")
         if len(np.unique(components(direct, len(x)))) == 1:
-            return turns
+            return shifts
         vectors = x[None] - x[:, None]
         images = np.round(vectors @ self.to_fractions)
         length = np.linalg.norm(vectors - images @ self.lattice, axis=-1) + np.finfo(float).eps
@@ -85,8 +85,8 @@ class _Molecules:
         tree = minimum_spanning_tree(length)
         order, parent = breadth_first_order(tree, 0, directed=False)
         for k in order[1:]:
-            turns[k] = turns[parent[k]] - images[parent[k], k]
-        return turns
+            shifts[k] = shifts[parent[k]] - images[parent[k], k]
+        return shifts
 
     def join_chains(self) -> None:
         """Move each residue to the residue before it, if they are bonded."""
@@ -97,14 +97,14 @@ class _Molecules:
                 i, j = self.ends.get((r, end)), self.ends.get((following, start))
                 if i is None or j is None:
                     continue
-                turns, nearest, length = self.nearest_image(i, j)
+                shifts, nearest, length = self.nearest_image(i, j)
                 if nearest < _LINKED:
                     self.piece[following] = self.piece[r]
                     if length >= _LINKED:
-                        self.turns[self.starts[following] : self.starts[following + 1]] -= turns
+                        self.shifts[self.starts[following] : self.starts[following + 1]] -= shifts
 
-    def move(self, piece: int, turns: Floats) -> None:
-        self.turns[(self.piece == piece)[self.residue_of]] += turns
+    def move(self, piece: int, shifts: Floats) -> None:
+        self.shifts[(self.piece == piece)[self.residue_of]] += shifts
 
     def join_disulfides(self) -> list[int]:
         """Move chains to their partners in disulfide bonds, and return the first residues of moved chains."""
@@ -115,9 +115,9 @@ class _Molecules:
         for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(vectors, axis=-1) < _DISULFIDE, 1))].tolist():
             first, second = (int(self.piece[self.residue_of[k]]) for k in (i, j))
             if first != second:
-                turns, nearest, length = self.nearest_image(i, j)
+                shifts, nearest, length = self.nearest_image(i, j)
                 if nearest < _DISULFIDE <= length:
-                    self.move(second, -turns)
+                    self.move(second, -shifts)
                     moved.append(second)
                 if nearest < _DISULFIDE:
                     self.piece[self.piece == second] = first
@@ -149,10 +149,10 @@ class _Molecules:
                 moved += self._move_to_image(piece, self._image(tree, pieces[piece]))
         return moved
 
-    def _move_to_image(self, piece: int, turns: Floats | None) -> list[int]:
-        if turns is None or not turns.any():
+    def _move_to_image(self, piece: int, shifts: Floats | None) -> list[int]:
+        if shifts is None or not shifts.any():
             return []
-        self.move(piece, turns)
+        self.move(piece, shifts)
         return [piece]
 
     def _image(self, tree: KDTree, atoms: Integers) -> Floats | None:
@@ -181,38 +181,38 @@ def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> 
     """
     if np.min(tree.query(x)[0]) < contact:
         return np.zeros(3)
-    turns = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
-    nearest = [float(np.min(tree.query(x + turn @ lattice)[0])) for turn in turns]
-    return turns[int(np.argmin(nearest))] if min(nearest) < contact else None
+    shifts = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
+    nearest = [float(np.min(tree.query(x + shift @ lattice)[0])) for shift in shifts]
+    return shifts[int(np.argmin(nearest))] if min(nearest) < contact else None
 
 
-def _rank(turns: Floats | None) -> int:
-    return 2 if turns is None else int(turns.any())
+def _rank(shifts: Floats | None) -> int:
+    return 2 if shifts is None else int(shifts.any())
 
 
 def make_whole(draft: Draft) -> Changes:
     """Make the molecules of a model whole by the cell of its file, and report the moved molecules."""
     structure, model, cell = draft.file, draft.model, draft.file.cell
-    if min(cell.a, cell.b, cell.c) < _THINNEST or not cell.is_crystal():
+    if min(cell.a, cell.b, cell.c) < _MIN_CELL or not cell.is_crystal():
         return
     molecules = _Molecules(model, cell)
     molecules.join_within()
     molecules.join_chains()
-    broken = np.unique(molecules.residue_of[molecules.turns.any(axis=1)]).tolist()
+    broken = np.unique(molecules.residue_of[molecules.shifts.any(axis=1)]).tolist()
     moved = molecules.join_disulfides()
     # Chains of crystals stay in the asymmetric unit.
     if broken or structure.spacegroup_hm.replace(" ", "") in ("", "P1"):
         moved += molecules.join_images()
-    for k in np.flatnonzero(molecules.turns.any(axis=1)).tolist():
+    for k in np.flatnonzero(molecules.shifts.any(axis=1)).tolist():
         molecules.atoms[k].pos = gemmi.Position(*molecules.positions(np.array([k]))[0].tolist())
     box = " x ".join(f"{length:g}" for length in (cell.a, cell.b, cell.c))
     if broken:
-        yield Repair.of(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_place(molecules, broken[0]))
+        yield Repair.of(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_residue(molecules, broken[0]))
     if moved:
-        places = tuple(_place(molecules, piece) for piece in dict.fromkeys(moved))
+        places = tuple(_residue(molecules, piece) for piece in dict.fromkeys(moved))
         yield Repair.of(Kind.IMAGE_MOVED, box=box, count=len(places), residues=places)
 
 
-def _place(molecules: _Molecules, k: int) -> Residue:
+def _residue(molecules: _Molecules, k: int) -> Residue:
     chain, residue = molecules.residues[k]
     return Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)

@@ -22,7 +22,7 @@ _CHAINS = ascii_letters + digits
 _GROUPS = {"ASP", "GLU", "HIS", "CYS", "LYS"}
 
 
-def by_propka(draft: Draft) -> Mapping[int, float]:
+def compute_pka(draft: Draft) -> Mapping[int, float]:
     """Compute the pKa of a protein's acids and bases, in the presence of the hetero molecules."""
     run = library("propka.run", "pka")
     members = draft.members
@@ -34,18 +34,18 @@ def by_propka(draft: Draft) -> Mapping[int, float]:
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise StructureError(f"{draft.source}: PROPKA fails ({error}); give ph a number") from None
     groups = [group for group in result.conformations["AVR"].groups if group.residue_type in _GROUPS]
-    places = {_place(k): id(member) for k, member in enumerate(members)}
+    places = {_chain_and_number(k): id(member) for k, member in enumerate(members)}
     return {places[g.atom.chain_id, g.atom.res_num]: float(g.pka_value) for g in groups}
 
 
-def _place(k: int) -> tuple[str, int]:
+def _chain_and_number(k: int) -> tuple[str, int]:
     """Return the chain and number of a residue in the input of PROPKA."""
     return _CHAINS[k // _PER_CHAIN], k % _PER_CHAIN + 1
 
 
 def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
     """Return the heavy atoms as PDB records, with a TER after each piece of a chain."""
-    number = {id(member): _place(k) for k, member in enumerate(members)}
+    number = {id(member): _chain_and_number(k) for k, member in enumerate(members)}
     lines = list[str]()
     for part in draft.parts:
         record = "HETATM" if part.obstacle else "ATOM"
@@ -55,13 +55,13 @@ def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
                 if not a.is_hydrogen():
                     place = "".join(f"{coordinate:8.3f}" for coordinate in a.pos.tolist())
                     lines.append(
-                        f"{record:6}{1:5d} {_name(a):4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
+                        f"{record:6}{1:5d} {_aligned_name(a):4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
                         f"{1.0:6.2f}{0.0:6.2f}          {a.element.name.upper():>2}"
                     )
         lines.append("TER")
     return "\n".join([*lines, "END", ""])
 
 
-def _name(a: gemmi.Atom) -> str:
+def _aligned_name(a: gemmi.Atom) -> str:
     """Return the name of an atom, aligned by its element."""
     return a.name[:4] if len(a.element.name) > 1 or len(a.name) > 3 else f" {a.name}"

@@ -11,7 +11,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template, rename
 from protochain.structure.preparation.flips import choose_flips
-from protochain.structure.preparation.pka import by_propka
+from protochain.structure.preparation.pka import compute_pka
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 
 BONDED = 1.5
@@ -29,9 +29,9 @@ def protonate(draft: Draft) -> Changes:
     """Choose protonation states by names and hydrogens, or else by pH. Positions of new hydrogens are NaN."""
     templates, ph = draft.templates, draft.reading.chemistry.ph
     bridged = {id(member) for pair in draft.bridges for member in pair}
-    pka = by_propka(draft) if draft.reading.ph == AUTO else _USUAL
-    shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _state_in_file(m) for m in draft.members}
-    states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
+    pka = compute_pka(draft) if draft.reading.ph == AUTO else _USUAL
+    shown = {id(m): "CYX" if id(m) in bridged else _lone_pair(m) or _state_in_file(m) for m in draft.members}
+    states = {id(m): shown[id(m)] or _state_at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = choose_flips(
         (
             member,
@@ -51,9 +51,9 @@ def protonate(draft: Draft) -> Changes:
                 kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
                 yield Repair.of(kind, residue=member.residue)
             state = states[id(member)]
-            residue_pka = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
+            residue_pka = pka.get(id(member)) if state == _state_at_ph(member, ph, pka) else None
             template = yield from _template(templates, part, i, shown[id(member)], state, residue_pka)
-            renamed += yield from _match(member, template)
+            renamed += yield from _match_hydrogens(member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
             added += sum(a.is_hydrogen() for a in member.atoms) - now
@@ -94,7 +94,7 @@ def _template(
     return template
 
 
-def _free_pair(member: Member) -> str:
+def _lone_pair(member: Member) -> str:
     """Return the state of a residue with a bonded lone pair. Empty for the usual state."""
     bonded = {a.name for a in (*member.metals, *member.links)}
     if member.name == "HIS" and bonded & {"ND1", "NE2"}:
@@ -140,7 +140,7 @@ def _acid_oxygens(member: Member) -> list[str]:
     return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
 
 
-def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
+def _state_at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
     """Return the protonation state at a pH. Empty for the usual state."""
     acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
     if acid and not member.metals and ph <= pka.get(id(member), acid[0]):
@@ -148,7 +148,7 @@ def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
     return base[1] if base and ph > pka.get(id(member), base[0]) else ""
 
 
-def _match(member: Member, template: Template) -> Generator[Repair, None, int]:
+def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, None, int]:
     """Rename and order the hydrogens of the file, remove hydrogens that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)

@@ -14,11 +14,11 @@ from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, 
 from protochain.structure.molecule.templates import Template, standard_name, template_name, templates
 from protochain.structure.preparation.structure_draft import Changes, Draft
 
-_OF_ELEMENTS = "CHNOSPD"
+_ELEMENT_LETTERS = "CHNOSPD"
 """First letters of atom names in amino acids and nucleotides, without leading digits."""
 _PSEUDO = re.compile(r"PS\d*|CEN|NV\d*|ORIG")
 _PADDING = re.compile(r"V[0-8]")
-_SITE = re.compile(r"[MELVX]|DO|OM")
+_SITE_NAME = re.compile(r"[MELVX]|DO|OM")
 """First letters of the names of virtual sites of a water."""
 
 
@@ -30,8 +30,8 @@ def remove_pseudo_atoms(draft: Draft) -> Changes:
             name = standard_name(residue.name.strip().upper())[0]
             is_known = name in STANDARD or name in CAPS or name in NUCLEOTIDES
             template = all_templates.get(template_name(name)) if is_known else None
-            of_water = [] if is_known else _sites(residue)
-            places = of_water or _pseudo(residue, template)
+            of_water = [] if is_known else _virtual_sites(residue)
+            places = of_water or _pseudo_atoms(residue, template)
             names = tuple(dict.fromkeys(residue[k].name for k in places))
             for k in reversed(places):
                 del residue[k]
@@ -52,7 +52,7 @@ def _name_water(residue: gemmi.Residue) -> None:
         atom.name = "O" if atom.name.lstrip("0123456789").startswith("O") else atom.name
 
 
-def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
+def _pseudo_atoms(residue: gemmi.Residue, template: Template | None) -> list[int]:
     """Return the indices of pseudo-atoms. Names count only in amino acids and nucleotides without beads."""
     is_atomic = {"CA", "C1'", "C1*", "CH3"} & {atom.name for atom in residue}
     template = template if is_atomic else None
@@ -63,23 +63,23 @@ def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
         for k, atom in enumerate(residue)
         if atom.calc_flag == gemmi.CalcFlag.Dummy
         or (_PADDING.fullmatch(atom.name) and "CA" in residue)
-        or (template and atom.name not in atoms and _is_named_so(atom.name, heavy))
+        or (template and atom.name not in atoms and _is_pseudo_name(atom.name, heavy))
     ]
 
 
-def _is_named_so(name: str, heavy: Collection[str]) -> bool:
+def _is_pseudo_name(name: str, heavy: Collection[str]) -> bool:
     """Whether an unknown name names a pseudo-atom: a Drude particle has a heavy atom's name after D."""
     letter = name.lstrip("0123456789")[:1]
     if name == "X":
         # The reader gives this name to an atom without one.
         return False
     is_drude = letter == "D" and name[1:] in heavy
-    return letter not in _OF_ELEMENTS or is_drude or bool(_PSEUDO.fullmatch(name))
+    return letter not in _ELEMENT_LETTERS or is_drude or bool(_PSEUDO.fullmatch(name))
 
 
-def _sites(residue: gemmi.Residue) -> list[int]:
+def _virtual_sites(residue: gemmi.Residue) -> list[int]:
     """Return the indices of a water's virtual sites, if its other sites are one oxygen and two hydrogens."""
     names = [atom.name.lstrip("0123456789") for atom in residue]
-    sites = [k for k, name in enumerate(names) if _SITE.match(name) and not residue[k].element.is_metal]
+    sites = [k for k, name in enumerate(names) if _SITE_NAME.match(name) and not residue[k].element.is_metal]
     letters = sorted(name[:1] for k, name in enumerate(names) if k not in sites)
     return sites if letters in (["H", "H", "O"], ["D", "D", "O"]) else []

@@ -30,7 +30,7 @@ from protochain.structure.preparation.complete import complete_backbone
 from protochain.structure.preparation.hetero_molecules import rename_water, report_unresolved
 from protochain.structure.preparation.ligand_chemistry import with_pose
 from protochain.structure.preparation.model_choice import Conformation, pick_altloc, residue_in_file
-from protochain.structure.preparation.parents import convert_to_parent, fullest
+from protochain.structure.preparation.parents import convert_to_parent, full_state
 from protochain.structure.preparation.structure_draft import (
     Changes,
     Draft,
@@ -138,7 +138,7 @@ def _read_residue(
     original, is_standard = residue.name.strip().upper(), name in residues.STANDARD
     if is_standard or name in residues.CAPS:
         for atom in residue:
-            atom.element = _element(atom)
+            atom.element = _corrected_element(atom)
     atoms = [*residue]
     if is_standard and (misplaced := _misplaced_atoms(atoms)):
         atoms = [atom for atom in atoms if atom not in misplaced]
@@ -149,7 +149,7 @@ def _read_residue(
     has_backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
     for atom in atoms if has_backbone else ():
         # Without element columns gemmi has no element for 1HB of a modified residue.
-        atom.element = atom.element if atom.element.atomic_number else _element(atom)
+        atom.element = atom.element if atom.element.atomic_number else _corrected_element(atom)
     member = Member(
         name, str(residue.seqid.num), residue.seqid.icode.strip(), chain, atoms, state,
         is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
@@ -213,7 +213,7 @@ def _split_at_breaks(draft: Draft, run: list[Member]) -> Changes:
     last: Member | None = None
     for member in run:
         gap = _gap(last, member) if last else np.inf
-        if last and gap >= PEPTIDE_BREAK and _is_torn(last, member, gap):
+        if last and gap >= PEPTIDE_BREAK and _is_stretched_bond(last, member, gap):
             yield Repair.of(Kind.TORN, last=last.residue, first=member.residue, length=gap)
         elif gap >= PEPTIDE_BREAK:
             draft.runs.append([])
@@ -298,7 +298,7 @@ def _conversion_reason(draft: Draft, part: Part, i: int) -> Reason | None:
     heavy_names = {atom.name for atom in member.heavy} - {"OXT"}
     if member.parent:
         member.is_d = member.is_d or chirality(member, least=WELL_FORMED) < 0
-        is_mirrored = member.is_d and heavy_names == {*draft.templates[fullest(member.parent)].heavy}
+        is_mirrored = member.is_d and heavy_names == {*draft.templates[full_state(member.parent)].heavy}
         return Reason.PARENT if member.name == "MSE" or is_mirrored else None
     template = part.template(draft.templates, i)
     if template is None:
@@ -346,7 +346,7 @@ def model_numbers(path: str | Path) -> list[int]:
     return [model.num for model in parse(Path(path))[0]]
 
 
-def _element(atom: gemmi.Atom) -> gemmi.Element:
+def _corrected_element(atom: gemmi.Atom) -> gemmi.Element:
     """Return the element by the atom's name if the element read contradicts it: CHARMM shifts HD1."""
     letter = atom.name.lstrip("0123456789")[:1]
     is_element = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
@@ -403,7 +403,7 @@ def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int]
     return following, before
 
 
-def _is_torn(last: Member, first: Member, gap: float) -> bool:
+def _is_stretched_bond(last: Member, first: Member, gap: float) -> bool:
     """Whether two residues are bonded despite a long distance."""
     follows = int(first.number) == int(last.number) + 1
     return follows and gap < PEPTIDE_TORN and not last.atom("OXT") and not last.is_cap and not first.is_cap

@@ -14,7 +14,7 @@ _Graph = tuple[dict[str, tuple[str, int]], dict[str, set[str]]]
 """Element and number of hydrogens of each heavy atom, by name, and its heavy neighbours."""
 
 
-def by_element(member: Member) -> Template:
+def template_by_element(member: Member) -> Template:
     """Return the template of a molecule in the file: elements and charges, with bonds by distance."""
     atoms = member.atoms
     x = np.array([a.pos.tolist() for a in atoms])

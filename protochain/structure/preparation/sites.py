@@ -25,16 +25,16 @@ from protochain.structure.preparation.hetero_molecules import JOIN_CUTOFF
 from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, classify_pairs
 from protochain.structure.preparation.structure_draft import Changes, Contacts, Draft, Evidence, Part
 
-_BEYOND = 0.25
+_MAX_DEVIATION = 0.25
 """Angstrom: a covalent bond that deviates by more is restrained to its usual length."""
-_LEAST, _MOST = np.deg2rad(90.0), np.deg2rad(140.0)
+_MIN_ANGLE, _MAX_ANGLE = np.deg2rad(90.0), np.deg2rad(140.0)
 """Rad: angles of a covalent bond beyond these limits are restrained to the limits."""
 _STRAIGHT = np.deg2rad(170.0)
 """Rad: a larger angle gets no spring, because the force would have no direction."""
-_NEAREST = 2.5
+_SEARCH_RADIUS = 2.5
 """Angstrom: search radius of overlapping atoms. Only two selenium atoms can be bonded further apart."""
-_SHELL = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
-_OTHER_SHELL = 4
+_SHELL_SIZE = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
+_OTHER_SHELL_SIZE = 4
 """Donors that surround an ion on all sides (Harding, Acta Cryst. D60:849, 2004)."""
 
 _METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 4.8e5, 300.0, 540.0
@@ -140,7 +140,7 @@ def _overlapping_pairs(draft: Draft, protein: _Owned) -> Iterator[Link]:
     joined = {frozenset(link.owners) for fragment in draft.fragments for link in fragment.bonds}
     joined |= {frozenset((id(p.members[0]), id(p.members[-1]))) for p in draft.parts if p.cyclic}
     owner = np.array([number[id(m)] for m, _ in protein])
-    pairs = KDTree([a.pos.tolist() for _, a in protein]).query_pairs(_NEAREST, output_type="ndarray")
+    pairs = KDTree([a.pos.tolist() for _, a in protein]).query_pairs(_SEARCH_RADIUS, output_type="ndarray")
     for i, j in sorted(pairs[np.abs(owner[pairs[:, 0]] - owner[pairs[:, 1]]) > 1].tolist()):
         link = Link(*protein[i], *protein[j])
         is_bond = frozenset(link.owners) in joined or link.atom.name == link.hetero_atom.name == "SG"
@@ -259,7 +259,7 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     """Whether a hetero molecule moves with the protein: an ion that only the protein surrounds."""
     ion = member.atoms[0]
     donors = sum(link.hetero_atom is ion and link.is_metal for link in links)
-    if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
+    if len(member.atoms) > 1 or donors < _SHELL_SIZE.get(ion.element.name, _OTHER_SHELL_SIZE):
         return False
     if draft.lists(member):
         return not draft.lists_as_fixed(member)
@@ -350,9 +350,9 @@ def ties(
         rest_value = measure(x[list(atoms)])
         if stiffness == _BOND:
             usual = 0.1 * usual_length(*(element[k] for k in atoms))
-            rest_value = rest_value if abs(rest_value - usual) < 0.1 * _BEYOND else usual
+            rest_value = rest_value if abs(rest_value - usual) < 0.1 * _MAX_DEVIATION else usual
         elif stiffness == _ANGLE:
-            rest_value = float(np.clip(rest_value, _LEAST, _MOST))
+            rest_value = float(np.clip(rest_value, _MIN_ANGLE, _MAX_ANGLE))
         springs.append(Tie(atoms, round(rest_value, DIGITS), stiffness))
     return tuple(tie for tie in springs if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
 
