@@ -37,9 +37,9 @@ _LONGEST = 0.3
 _TURN = 0.5
 """rad. Largest step of a rotation on the way to a closed loop."""
 _ASIDE = 0.05
-"""How far one looks for another rank, in radians and sizes of the tree."""
+"""Displacement at which ranks are compared, in radians and sizes of the tree."""
 _CONTRADICTED = 1e-6
-"""Rate of an open loop, relative to the largest given rate, that is more than its rounding."""
+"""Rate at which a loop opens, relative to the largest rate, above which it is not rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Closing(Between):
     a, b : tuple of str and (3,) array_like
         Body, or "world", and a point of it. Both points meet.
     kind : {"revolute", "spherical", "universal", "cylindrical", "prismatic", "planar", "rigid"}
-        Freedoms of the joint. Dependent joints, as revolute ones in a plane, are welcome.
+        Freedoms of the joint. Redundant joints are allowed, as revolute ones in a plane.
     axis : (3,) array_like
         Its axis in the axes of a. The normal of the plane of ``planar``, the arm of a of ``universal``.
     axis_b : (3,) array_like, optional
@@ -116,7 +116,7 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     if not closings:
         return bodies
     tree = bodies.tree
-    fixed, q, undriven = _given_rates(bodies), bodies.q, tree.undriven_v
+    fixed, q, undriven = _given_coordinates(bodies), bodies.q, tree.undriven_v
     for approached in _approaches(bodies, closings):
         parts = [joint.bind(bodies) for joint in approached]
         of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
@@ -125,7 +125,7 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
             for name in ("body", "turns", "point", "along")
         }
         joints, nearby = LoopJoints(**columns), replace(bodies, q=q)
-        # What was given is kept, unless the loops close with what was not.
+        # Given coordinates stay if the other freedoms can close the loops.
         assembled, worst = _assemble(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(fixed)))
         if assembled is None:
             assembled, worst = _assemble(nearby, joints, undriven)
@@ -192,7 +192,7 @@ def _rank(matrix: Floats) -> int:
 
 
 def _away(moves: np.ndarray) -> Floats:
-    """Any way aside, of these freedoms."""
+    """Random displacement of these freedoms, the same in each call."""
     return np.asarray(_ASIDE * np.random.default_rng(0).normal(size=len(moves)))
 
 
@@ -208,7 +208,7 @@ def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
     return _assemble(replace(bodies, q=q), joints, bodies.tree.undriven_v)[0]
 
 
-def _given_rates(bodies: Bodies) -> np.ndarray:
+def _given_coordinates(bodies: Bodies) -> np.ndarray:
     """(n_v,) bool: freedoms whose coordinates are not zero, and the places of free bodies."""
     tree = bodies.tree
     is_given = np.zeros(tree.n_v, dtype=bool)

@@ -45,8 +45,8 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
     -------
     (2 k, 2 k) float
         For displacements and velocities along the k :attr:`Model.directions`: of all freedoms without
-        drives, or of modes. Displacements of balls and free bodies are turns from the moving reference,
-        the motion itself.
+        drives, or of modes. Displacements of balls and free bodies are turns from their orientations in
+        the reference motion.
     """
     return _about(model, at)[0]
 
@@ -92,7 +92,7 @@ def linearise(
     Returns
     -------
     Linear
-        Matrices A, B, C, D, with state and A as of :func:`state_matrix`. D is zero without accelerations.
+        Matrices A, B, C, D, with state and A as of :func:`state_matrix`. D is 0 if no output uses qdd.
     """
     freedoms = [model.bodies.freedom(hinge, "linearise")[1] for hinge in inputs]
     for function in outputs:
@@ -117,8 +117,8 @@ class _Nearby:
     model: Model
     at: Phase
     ways: Floats  # (n_v, k): Directions.
-    back: Floats  # (k, n_v): What finds amplitudes of directions.
-    aside: Floats  # (n_v, r): All other ways of hinges that are not driven, none of which loops allow.
+    back: Floats  # (k, n_v): Velocities -> amplitudes of directions.
+    aside: Floats  # (n_v, r): All other directions of hinges without drives. Loops allow none of them.
 
     @classmethod
     def of(cls, model: Model, at: Phase | None) -> Self:
@@ -141,7 +141,7 @@ class _Nearby:
         return q, qd + self.follow(factors, qd), factors, self.ways + self.follow(factors, self.ways)
 
     def follow(self, factors: Articulated, qd: Floats, bends: Floats | None = None) -> Floats:
-        """Velocity change for loops, in addition to qd, or for accelerations with ``bends``."""
+        """Velocities along ``aside`` that loops need in addition to qd. With ``bends``, accelerations."""
         joints, tree = self.model.bodies.joints, self.model.tree
         assert joints is not None
         rates = joints.matrix(tree, factors.frames)
@@ -151,7 +151,7 @@ class _Nearby:
         return np.asarray(self.aside @ least_change(rates @ (self.aside / tree.units[:, None]), -opening))
 
     def lack(self, move: Floats, rate: Floats, qdd: Floats) -> Floats:
-        """(k,) float: forces along the directions there, less the forces of accelerations along them here."""
+        """(k,) float: forces along the directions there, less the forces that accelerations need."""
         model, system = self.model, self.model.system
         q, qd, factors, directions = self.place(move, rate)
         torque, joints = system.forces(self.at.time, q, qd, factors)[1], model.bodies.joints
@@ -200,11 +200,11 @@ def _about(
             return np.asarray(out)
         return np.append(out, observe(State(model.bodies, near.at.time, q, qd, factors.frames), qdd))
 
-    # Linear in torques, so that any will do: such as move a hinge by one.
+    # Rates are linear in torques, so unit torques give their derivatives.
     units = np.eye(tree.n_v)[list(freedoms)]
-    pushed = [0.5 * (force(still, still, unit) - force(still, still, -unit)) for unit in units]
-    rows = len(force(still, still))
-    lower = [near.slopes(force, 0), near.slopes(force, 1), np.reshape(pushed, (len(units), rows)).T]
+    pushed = [0.5 * (respond(still, still, unit) - respond(still, still, -unit)) for unit in units]
+    rows = len(respond(still, still))
+    lower = [near.slopes(respond, 0), near.slopes(respond, 1), np.reshape(pushed, (len(units), rows)).T]
     upper = np.hstack([near.turning, np.eye(k), np.zeros((k, len(units)))])
     return np.vstack([upper, np.hstack([part.reshape(rows, -1) for part in lower])]), k
 
@@ -258,7 +258,7 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
 
 
 def _shift_eigenvalues(mass: Floats, damping: Floats, stiffness: Floats) -> tuple[float, Floats]:
-    """Shift s, 0 if that will do, for which K + s C + s^2 M is positive definite, and Cholesky's factor."""
+    """Shift s, 0 if possible, for which K + s C + s^2 M is positive definite, and Cholesky's factor."""
     parts = [0.5 * (part + part.T) for part in (stiffness, damping, mass)]
     squares = eigh(parts[0], mass, eigvals_only=True)
     counts = np.abs(squares) > _NOTHING * np.max(np.abs(squares))

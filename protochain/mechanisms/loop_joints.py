@@ -1,4 +1,4 @@
-"""Joints that close loops: their errors, the rows of these on the twists, and what velocities add."""
+"""Joints that close loops: their errors, the rows of these on the twists, and their accelerations."""
 
 from dataclasses import dataclass
 
@@ -63,7 +63,7 @@ class LoopJoints:
 
 
 def least_change(matrix: Floats, target: Floats) -> Floats:
-    """Least x with matrix x = wanted, for a matrix in radians and sizes, without its rounding."""
+    """Least x with matrix x = target, for a matrix in radians and sizes, without its rounding."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
     return np.asarray(right[counts].T @ ((left.T @ target)[counts].T / sizes[counts]).T)
@@ -76,7 +76,7 @@ class FactoredLoops:
     factors: Articulated  # Rigid bodies, their frames, and factors of M there.
     error: Floats  # (m,): Errors of the joints.
     rows: Rows  # Rates of these.
-    # (m,): What scales the rows Y of G M^-1/2 to a length of one; 0 of equations that no motion changes.
+    # (m,): Factors that scale the rows Y of G M^-1/2 to a length of one, 0 if no motion changes them.
     scales: Floats
     # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
     coefficients: Floats
@@ -91,7 +91,7 @@ class FactoredLoops:
         return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
 
     def impulses(self, target: Floats) -> Floats:
-        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
+        """Impulses (m,) of the joints that change the rates of the errors by ``target`` (m,)."""
         if self.rank is None:
             impulses: Floats = least_impulses(self.scales, self.coefficients, self.order, target)
             return impulses
@@ -101,13 +101,13 @@ class FactoredLoops:
         return np.asarray(scales * (left @ (left.T @ (scales * target) / sizes**2)))
 
     def wrenches(self, impulses: Floats) -> Floats:
-        """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
+        """Impulses of the joints (m,) as wrenches on the bodies, (nb, 6)."""
         out = np.zeros((self.factors.tree.n_bodies, 6))
         gather(self.rows.body, self.rows.wrench, impulses, out)
         return out
 
     def change(self, target: Floats) -> Floats:
-        """Change of velocities (n_v,), of least kinetic energy, that changes the rates by (m,) wanted."""
+        """Change of velocities (n_v,), of least kinetic energy, that changes the rates by ``target`` (m,)."""
         wrenches = self.wrenches(self.impulses(target))
         return solve(self.factors, np.zeros(self.factors.tree.n_v), -wrenches)
 
@@ -198,8 +198,8 @@ def _orthonormalise(y: Floats, lengths: Floats) -> tuple[Floats, Integers]:
 
 @kernel
 def least_impulses(scales: Floats, coefficients: Floats, order: Integers, target: Floats) -> Floats:
-    """Impulses (m,), scaled of least norm, that change rates by those wanted (m,)."""
-    # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = wanted, and C^T z = c.
+    """Impulses (m,), scaled of least norm, that change rates by ``target`` (m,)."""
+    # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = target, and C^T z = c.
     # Without Q these are as stable as with it (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
     r, x, top = len(order), np.zeros(len(scales)), coefficients[order]
     c, square = scales[order] * target[order], coefficients.T @ coefficients

@@ -1,4 +1,4 @@
-"""Impacts: what changes velocities in no time, with friction, of any tree, with and without loops."""
+"""Impacts: instantaneous changes of velocities, with friction, of any tree, with and without loops."""
 
 from protochain.mechanisms.impacts.bodies import Bending
 from protochain.mechanisms.impacts.bound import friction_bound

@@ -1,4 +1,4 @@
-"""What an impact asks of bodies, rigid ones or such that bend: velocities, and what impulses change."""
+"""Rigid and flexible bodies in an impact: their velocities, and the changes of these by impulses."""
 
 from dataclasses import dataclass
 
@@ -25,11 +25,11 @@ class RigidBodies:
 
     @property
     def origin(self) -> Floats:
-        """(nb, 3) float: of the bodies."""
+        """(nb, 3) float: origins of the bodies."""
         return self.factors.frames.origin
 
     def twists(self, qd: Floats) -> Floats:
-        """(nb, 6) float: of the bodies."""
+        """(nb, 6) float: twists of the bodies."""
         return velocities(self.factors.tree, self.factors.frames, qd)
 
     def change(self, wrench: Floats) -> Floats:
@@ -37,7 +37,7 @@ class RigidBodies:
         return solve(self.factors, np.zeros(self.n_v), -wrench)
 
     def inverse(self, rows: Rows) -> Floats:
-        """(m, m) float: O(n + m^2)."""
+        """(m, m) float: inverse inertia G M^-1 G^T of rows G, O(n + m^2)."""
         return operational_inverse(self.factors.tree, self.factors.frames, rows, self.factors)
 
 
@@ -45,7 +45,7 @@ class RigidBodies:
 class Bending(Value):
     """Bodies of which some bend, at one q: input of an impact in place of factors.
 
-    An instantaneous impulse moves all shapes at once: elastic forces are finite, and do nothing in no time.
+    An instantaneous impulse moves all shapes at once. Elastic forces are finite, so they have no impulse.
 
     Parameters
     ----------
@@ -69,11 +69,11 @@ class Bending(Value):
 
     @property
     def origin(self) -> Floats:
-        """(nn, 3) float: of the nodes."""
+        """(nn, 3) float: origins of the nodes."""
         return self.bent.origin
 
     def twists(self, qd: Floats) -> Floats:
-        """(nn, 6) float: of the nodes."""
+        """(nn, 6) float: twists of the nodes."""
         return flexible_dynamics.velocities(self.flexible, self.bent, qd)
 
     def change(self, wrench: Floats) -> Floats:
@@ -82,7 +82,7 @@ class Bending(Value):
         return flexible_dynamics.solve(self.flexible, self.bent, pulled)
 
     def inverse(self, rows: Rows) -> Floats:
-        """(m, m) float: O(n m)."""
+        """(m, m) float: inverse inertia G M^-1 G^T of rows G, O(n m)."""
         inverse = np.empty((len(rows.body), len(rows.body)))
         for i, (bodies, wrenches) in enumerate(zip(rows.body, rows.wrench, strict=True)):
             load = np.zeros((len(self.origin), 6))
@@ -97,7 +97,7 @@ Bodies = RigidBodies | Bending
 
 
 def bodies_of(factors: Articulated | Bending) -> Bodies:
-    """Bodies, of what an impact is given."""
+    """Bodies of the first argument of an impact."""
     return factors if isinstance(factors, Bending) else RigidBodies(factors)
 
 

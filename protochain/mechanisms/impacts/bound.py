@@ -1,4 +1,4 @@
-"""How much friction leaves an impact of several points with one solution, before it is sought."""
+"""Bound on friction below which an impact of several points has one solution."""
 
 from collections.abc import Sequence
 
@@ -32,7 +32,7 @@ def friction_bound(
     -------
     float
         Bound sqrt(s / w): s the least eigenvalue of W_nn - W_nt W_tt^-1 W_tn, w the largest of W_tt. Infinite
-        without points. 0, without any information, if impulses of points depend on each other.
+        without points or tangential motion. 0, without information, if impulses of points are dependent.
 
     Raises
     ------

@@ -46,8 +46,8 @@ def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
             for i in range(n):
                 gain += out[0, i] * (u[i] + 0.5 * moved[i])
                 size += abs(out[0, i] * u[i])
-            # With one e for all it cannot be. Points of different e may store in one and give back by
-            # another: then all give back less, by a common factor, until no energy is gained.
+            # With one e for all points, no energy is gained. Points of different e can gain energy: then a
+            # common factor lowers all e until no energy is gained.
             if gain <= 1e-12 * size:
                 low = part
                 if part == 1.0 or high - low < 1e-6:
@@ -62,7 +62,7 @@ def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
 
 @kernel
 def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int:
-    """Write the one solution, by a search from three starts if friction may allow more than one."""
+    """Write the one solution, by a search from four starts if friction may allow more than one."""
     n = len(u)
     soft = w.copy()
     added = _SOFT * np.max(np.abs(w))
@@ -73,11 +73,11 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
     is_found = False
     for step in range(starts + _PROXIMAL):
         if step == 1 and starts > 1:
-            # All points stick, with what impulse it takes.
+            # Start at which all points stick.
             x = -u
             _eliminate(soft.copy(), x)
         elif 1 < step < starts:
-            # All points slip on, or back, pressed ten times as much.
+            # Starts at which all points slip on, or back, with ten times the normal impulse.
             sign = 1.0 if step == 2 else -1.0
             for i in range(0, n, 3):
                 slip = np.hypot(u[i + 1], u[i + 2])
@@ -85,7 +85,7 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
                 for j in range(1, 3):
                     x[i + j] = sign * mu[i // 3] * x[i] * u[i + j] / slip if slip > 0.0 else 0.0
         elif step >= starts:
-            # The shift that takes out what was added.
+            # Shifts that remove the addition to W.
             if not is_found:
                 return UNSOLVED
             x[:] = out
@@ -94,7 +94,7 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
         shift = x - out
         if step >= starts:
             if not solved:
-                # Impulses without a limit, as between wedges: velocities are right but for what was added.
+                # Impulses have no limit, as between wedges. Velocities are right except for the addition.
                 return SOLVED
             out[:] = x
             if added * np.max(np.abs(shift)) <= _EXACT * np.max(np.abs(u)):

@@ -15,14 +15,14 @@ External = Mapping[int, tuple[ArrayLike, ArrayLike]]
 
 
 def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, float]:
-    """Velocities after given impulses, and their work, qd (n_v,) -> (n_v,): Velocities after."""
+    """Velocities (n_v,) after given impulses, from velocities qd (n_v,), and the work of the impulses."""
     wrench = external_wrench(bodies, external)
     after = qd + bodies.change(wrench)
     return after, 0.5 * float(np.sum(wrench * bodies.twists(qd + after)))
 
 
 def external_wrench(bodies: Bodies, external: External) -> Floats:
-    """(nb, 6) float: given impulses as wrenches about the bodies' origins, checked as by :func:`strike`."""
+    """(nb, 6) float: given impulses as wrenches about the bodies' origins, checked."""
     wrench = np.zeros((len(bodies.origin), 6))
     for body, (point, impulse) in check_external(external, len(wrench)).items():
         wrench[body] = *np.cross(point - bodies.origin[body], impulse), *impulse
@@ -30,7 +30,7 @@ def external_wrench(bodies: Bodies, external: External) -> Floats:
 
 
 def check_external(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
-    """Body -> world point and impulse, of n bodies. Refused as by :func:`strike`."""
+    """Body -> world point and impulse, of n bodies. Raise MechanicsError for invalid ones."""
     if not isinstance(external, Mapping):
         raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")
     impulses = {}

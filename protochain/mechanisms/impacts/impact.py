@@ -30,12 +30,12 @@ Order = Literal["together", "in turn"]
 _LAWS = {"newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE}
 _ORDERS = ("together", "in turn")
 _TURNS = 1000
-"""Turns after which what still approaches stops at once: blows without end pass less and less on."""
+"""Turns after which all points that still approach stop together. Endless impacts have ever less effect."""
 
 
 @dataclass(frozen=True, eq=False)
 class Impact(Value):
-    """What an impact does.
+    """Result of an impact.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class Impact(Value):
     impulse : (k, 3) float
         Impulse on the second body of each point, world axes.
     before, after : (k, 3) float
-        Velocities of the second body relative to the first at each point, world axes. Before: when external
-        impulses have acted.
+        Velocities of the second body relative to the first at each point, world axes. ``before`` includes
+        external impulses.
     compression : (k,) float
         Normal impulse up to the end of the compression, the sum of all for points in turn.
     loops : (m,) float
@@ -95,8 +95,8 @@ def impact(
         Whether several points act ``together``, by Poisson's law, or ``in turn``, as if the bodies were a
         little apart: the fastest first, until none approaches, by any law.
     external : mapping of int to ((3,) float, (3,) float), optional
-        Impulses that are given, as of a hammer: body -> world point and impulse on it, world axes. They act
-        first, and may make separate points approach. Without points they act alone.
+        Given impulses, as of a hammer: body -> world point and impulse on it, world axes. They act first, and
+        may make separate points approach. Without points they act alone.
 
     Returns
     -------
@@ -106,9 +106,9 @@ def impact(
     Raises
     ------
     MechanicsError
-        If a point cannot be met, named with the reason: nothing gives way, friction too high for one
-        solution, M singular, rows of loops dependent, unknown laws and orders, and laws other than Poisson's
-        for several points together, or bodies of ``external`` that are unknown or values that are not finite.
+        If a point cannot move, friction is too high for one solution, M is singular, or rows of loops are
+        dependent. If a law or order is unknown, or the law of several points together is not Poisson's. If
+        bodies of ``external`` are unknown, or values are not finite.
 
     Notes
     -----
@@ -130,7 +130,7 @@ def impact(
     for i in np.flatnonzero(approaching & ~struck.movable):
         _refuse(impulse_path.IMMOVABLE, points[int(i)])
     if np.any(approaching):
-        # Nothing happens where nothing can.
+        # Points that cannot move have no impulse.
         take = np.flatnonzero(struck.movable)
         rows = (3 * take[:, None] + np.arange(3)).ravel()
         subset, chosen = struck.part(rows, take), [points[int(i)] for i in take]
@@ -169,7 +169,7 @@ def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
 
 
 def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> Impact:
-    """What impulses (3 k,) along the points' axes do, after work done before."""
+    """Result of impulses (3 k,) along the points' axes. Work done before is added."""
     bodies, k = struck.bodies, len(struck.axes)
     loops = struck.closed + struck.closing @ local
     impulses = np.concatenate([loops, local])
@@ -228,7 +228,7 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
     bounce = np.zeros(len(points)) if plastic else restitution
     status = complementarity.restitute(struck.w, struck.u, friction, bounce, out)
     if status != complementarity.SOLVED:
-        # Of several solutions, where they differ most; otherwise where friction is highest.
+        # Name the point at which two solutions differ most, or else the point of highest friction.
         differ = np.linalg.norm(out[0].reshape(-1, 3), axis=1) * (friction > 0.0)
         worst = points[int(np.argmax(differ if status == complementarity.SEVERAL else friction))]
         sure = bound_of(struck.w)

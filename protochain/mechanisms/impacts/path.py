@@ -28,8 +28,8 @@ Phase = tuple[bool, int, float]
 """Whether it is the restitution, the law, the goal at its end. The state y (6,) is angle and logarithm of the
 slip, the impulses, and the work of the normal one."""
 _STRAIGHT, _ROUNDING, _NOTHING = 1e-12, 4e-15, 1e-12
-"""Bound on the turn of a constant direction of slip, relative to its speed and to rounding. Inverse
-inertia or velocity that is rounding error."""
+"""Bounds on the turn of a constant direction of slip, relative to the change of its speed and for rounding.
+Inverse inertia or velocity that is rounding error."""
 _MOST, _TRIALS = 20_000, 200
 """Pieces of one path, and trials of one step. Curved ones end near a direction that stays, after dozens."""
 
@@ -40,14 +40,14 @@ _A, _WRONG = np.array(DORMAND_PRINCE.a), np.array(DORMAND_PRINCE.error)
 def follow(
     w: Floats, u: Floats, mu: float, e: float, law: int, slow: float, tolerance: float, out: Floats
 ) -> int:
-    """Write the impulse (normal, two tangential) that ends an impact, and how it came about."""
-    # w, u (3, 3), out (8,): Impulse, that of the compression, its work, all work, straight pieces, curved
-    # ones.
+    """Write impulse (normal, two tangential), work and pieces of an impact. Return the outcome."""
+    # w (3, 3), u (3,), out (8,): impulse, impulse of the compression, its work, all work, numbers of straight
+    # and curved pieces.
     out[:] = 0.0
     nn, speed = w[0, 0], -u[0]
     if not nn > _NOTHING * _NOTHING * max(nn, max(w[1, 1], w[2, 2])):
         return IMMOVABLE
-    # In units of the normal's own inverse inertia and speed.
+    # In units of the inverse inertia and the speed along the normal.
     of = w[0, 1] / nn, w[0, 2] / nn, w[1, 1] / nn, w[1, 2] / nn, w[2, 2] / nn, mu
     slip = u[1] / speed, u[2] / speed
     least = max(_NOTHING * max(1.0, np.sqrt(of[2] + of[4])), slow / speed)
@@ -65,7 +65,7 @@ def _impact(
     of: Contact, slip: Slip, e: float, law: int, least: float, at_rest: float, tolerance: float, y: Floats,
     out: Floats,
 ) -> int:  # fmt: skip
-    """Write the state at the end of compression and restitution, segment by segment. Return the outcome."""
+    """Write the state at the end of compression and restitution, piece by piece. Return the outcome."""
     stage, new, mu = np.zeros((7, 6)), np.zeros(6), of[5]
     grip = np.hypot(of[0], of[1]) + mu * (of[2] + of[4])
     phase, turning, stopped = (False, law, 0.0), mu > 0.0, np.hypot(slip[0], slip[1]) <= least
@@ -89,7 +89,7 @@ def _impact(
         else:
             step = _first_step(of, s, turn, growth, step)
             event, step = _curved_piece(of, phase, step, tolerance, y, stage, new)
-            # What is left of the slip is rounding error.
+            # The remaining slip is rounding error.
             stopped = not event and np.exp(y[1]) <= least
             out[7] += 1.0
         if status == GOING:
@@ -103,7 +103,7 @@ def _impact(
 def _next_phase(
     of: Contact, phase: Phase, event: bool, e: float, y: Floats, out: Floats
 ) -> tuple[int, Phase]:
-    """Phase after a piece: restitution after compression, which goes on if the slip presses again."""
+    """Outcome and phase after a piece: restitution, or compression again if the slip presses on."""
     restoring, law, _ = phase
     if restoring and _normal_velocity(of, y) < -1e-10:
         return GOING, (False, law, 0.0)
@@ -149,7 +149,7 @@ def _slip_rates(of: Contact, s: Slip) -> tuple[float, float]:
 def _straight_piece(
     of: Contact, phase: Phase, t: Slip, length: float, at_rest: float, y: Floats
 ) -> tuple[int, bool]:
-    """Follow a constant direction to the end of the phase or of the slip. Return whether it is the former."""
+    """Follow a constant direction to the end of phase or slip. Return outcome, and whether the phase ends."""
     restoring, law, goal = phase
     u_n, slope = _normal_velocity(of, y), 1.0 + of[0] * t[0] + of[1] * t[1]
     end = _end_of_piece(restoring, law, u_n, slope, goal - _value(phase, u_n, y), y)
@@ -170,7 +170,7 @@ def _straight_piece(
 
 @kernel
 def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -> float:
-    """Step of a curved piece, from that before."""
+    """Step of a curved piece, from the previous step."""
     # Steps contract towards a direction that stays while they are below 3.3 / |d turn/d theta|.
     across = of[5] * (s[1] * s[1] * of[2] - 2.0 * s[0] * s[1] * of[3] + s[0] * s[0] * of[4])
     stiff = abs(growth + across) + abs(turn) + abs(growth)
@@ -181,7 +181,7 @@ def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -
 def _curved_piece(
     of: Contact, phase: Phase, d: float, tolerance: float, y: Floats, stage: Floats, new: Floats
 ) -> tuple[bool, float]:
-    """Make one step, which ends at the end of a phase. Return whether it has ended, and the next step."""
+    """Make one step, at most to the end of the phase. Return whether the phase ends, and the next step."""
     before = _value(phase, _normal_velocity(of, y), y) - phase[2]
     factor = 1.0
     for _ in range(_TRIALS):
@@ -222,7 +222,7 @@ def _step_to_event(
 
 @kernel
 def _value(phase: Phase, u_n: float, y: Floats) -> float:
-    """What reaches its goal at the end of a phase."""
+    """Quantity that reaches its goal at the end of a phase."""
     restoring, law, _ = phase
     if not restoring or law == NEWTON:
         return u_n
@@ -231,7 +231,7 @@ def _value(phase: Phase, u_n: float, y: Floats) -> float:
 
 @kernel
 def _end_of_piece(restoring: bool, law: int, u_n: float, slope: float, left: float, y: Floats) -> float:
-    """Normal impulse to the end of the phase along a straight segment, infinite if there is none."""
+    """Normal impulse to the end of the phase along a straight piece, infinite if there is none."""
     steep = slope > 1e-13
     if restoring and law == POISSON:
         return max(left, 0.0)
@@ -284,7 +284,7 @@ def _from_rest(of: Contact) -> Slip:
     a1, a2 = np.cos(angle), np.sin(angle)
     first, second = a1 * n1 + a2 * n2, a1 * n2 - a2 * n1
     if small <= 1e-13 * large:
-        # Nothing moves along this axis; nor does the normal along it.
+        # Nothing moves along this axis, by normal impulses either.
         small, second = 0.0, 0.0
     x = -first / large if large > 0.0 else 0.0
     z = -second / small if small > 0.0 else 0.0
@@ -333,7 +333,7 @@ def follow_in_turn(
         state_of_point[:] = v[i : i + 3]
         status = follow(block, state_of_point, mu[i // 3], e[i // 3], law, slow[i // 3], tolerance, local)
         if status == LOST:
-            # Of what approach is left, rounding errors are too large a part.
+            # Rounding errors are too large a part of the remaining approach.
             return ENDLESS, i // 3
         if status != DONE:
             return status, i // 3

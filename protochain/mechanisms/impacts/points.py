@@ -1,4 +1,4 @@
-"""Points of contact, and what of the bodies an impact there sees: rows, inverse inertia, velocities."""
+"""Points of contact, and the rows, inverse inertia and velocities of the bodies at them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -82,18 +82,18 @@ class ContactPoint(Value):
 class Struck:
     """Points and loops at one moment: rows, inverse inertia, velocities."""
 
-    # bodies, qd, rows: Rows: of the loops, then of the points along their own axes (normal, two tangential).
+    # rows: of the loops, then of the points along their own axes (normal, two tangential).
     bodies: Bodies
     qd: Floats
     rows: Rows
     axes: Floats  # (k, 3, 3): Axes of the points, as rows.
     before: Floats  # (m + 3 k,): Velocities along the rows.
-    w: Floats  # w, u: (3 k, 3 k): Inverse inertia and velocities of the points, with the loops closed.
+    w: Floats  # w (3 k, 3 k), u (3 k,): Inverse inertia and velocities of the points, with the loops closed.
     u: Floats
     slow: Floats  # (k,): Speeds of approach that are rounding errors.
     movable: np.ndarray  # (k,) bool: Whether anything gives way along the normal.
     closing: Floats  # (m, 3 k): Impulses of the loops per impulse of the points.
-    closed: Floats  # (m,): Impulses of the loops without those.
+    closed: Floats  # (m,): Impulses of the loops without impulses of the points.
 
     @classmethod
     def of(
@@ -130,9 +130,9 @@ class Struck:
 
 
 def _axes(x: float, y: float, z: float) -> list[list[float]]:
-    """Normal and two directions across it, (3, 3). In a plane of two world axes, one of them lies within."""
+    """Normal and two directions across it, (3, 3). If the normal is in a plane of two world axes, so is one."""
     a, b, c = abs(x), abs(y), abs(z)
-    # What of the world's axis that is most across the normal is across it altogether.
+    # Part across the normal of the world axis that is most across it.
     if a <= b and a <= c:
         h = np.hypot(y, z)
         first = [h, -x * y / h, -x * z / h]

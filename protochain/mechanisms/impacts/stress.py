@@ -1,4 +1,4 @@
-"""Impulse stress in rigid bodies: its mean, which their motion and the impulses on them leave no doubt of."""
+"""Mean impulse stress in rigid bodies, which follows from their motion and the impulses on them."""
 
 from collections.abc import Sequence
 
