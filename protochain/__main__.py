@@ -1,4 +1,4 @@
-"""``python -m protochain`` is the command line."""
+"""``python -m protochain`` runs the command line."""
 
 from protochain.cli import main
 

@@ -301,4 +301,4 @@ def _model(value: int | str | None, name: str) -> int | str | None:
 
 
 _MOST_MODELS = 100_000
-"""Most models in one range. Larger ranges are taken for errors."""
+"""Most models in one range. Larger ranges are errors."""

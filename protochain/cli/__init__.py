@@ -1,4 +1,4 @@
-"""Parse, call, print. Heavy imports wait until a command runs, so that --help answers at once."""
+"""Parse, call, print. Heavy modules are imported when a command runs, so that --help is quick."""
 
 import atexit
 import errno
@@ -34,18 +34,18 @@ _COMMANDS = {
     "info": "inspect", "build": "inspect", "mutate": "mutate", "scan": "scan",
     "search": "search", "ensemble": "ensemble", "schema": "schema",
 }  # fmt: skip
-"""Name of each command, which is that of its function, and the module that has it."""
+"""Module of each command. A command has the name of its function."""
 _NO_RESULT = "interrupted before there was a result"
 _LATER = 0.05  # s.
 _ALIASES = {"minimize": "minimise"}
 
 
 class _Commands(TyperGroup):
-    """Commands, each of which is imported and built when it is asked for: one run needs one."""
+    """Commands. Each is imported and built on request, as a run needs only one."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        del self.commands  # Of Typer, which knows of none.
+        del self.commands  # Typer's, which is empty.
 
     @cached_property
     def commands(self) -> dict[str, Any]:  # type: ignore[override]  # an attribute there
@@ -53,15 +53,15 @@ class _Commands(TyperGroup):
         return {name: _command(name) for name in (*_COMMANDS, *_ALIASES)}
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """One command; None if there is none of that name."""
+        """Command of a name, or None."""
         return _command(cmd_name) if cmd_name in {*_COMMANDS, *_ALIASES} else None
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command, of which Typer would return the status of an interrupt without a word."""
+        """Run a command. Report interrupts, for which Typer would only return a status."""
         try:
             return super().invoke(ctx)
         except (KeyboardInterrupt, SystemError) as error:
-            # SystemError is what compiled code makes of one that it did not expect.
+            # Compiled code converts an unexpected interrupt to a SystemError.
             if not any(isinstance(cause, KeyboardInterrupt) for cause in (error, error.__cause__)):
                 raise
             raise typer.Exit(fail(_NO_RESULT, INTERRUPTED)) from None
@@ -96,7 +96,7 @@ def about(
 
 
 def message_of(error: ProtochainError) -> str:
-    """Message of an error in the words of the command line, where some command has the option."""
+    """Message of an error, with arguments as options if a command has them."""
     commands = map(_command, _COMMANDS)
     options = {param.name for cmd in commands for param in cmd.params if isinstance(param, TyperOption)}
     names = {*options, *(name for name, option in RENAMED.items() if option in options)}
@@ -106,7 +106,7 @@ def message_of(error: ProtochainError) -> str:
 
 
 def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
-    """Interrupt again, a little later, where nothing could be raised, as in a finaliser; tell all else."""
+    """Repeat an interrupt that could not be raised, as in a finaliser, a bit later. Report other errors."""
     if lost.exc_type is KeyboardInterrupt:
         Timer(_LATER, signal.pthread_kill, (main_thread().ident, signal.SIGINT)).start()
     else:
@@ -114,21 +114,21 @@ def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
 
 
 def main() -> None:
-    """Run the command line: one line on standard error and status 2 for bad input or usage."""
+    """Run the command line. For bad input or usage, print one line on standard error and return status 2."""
     interrupt_on_signals()
-    # No command opens a window, and no thread of numexpr, which pandas imports, computes anything.
+    # Commands do not open windows, and do not use the threads of numexpr, which pandas imports.
     os.environ |= {"MPLBACKEND": "agg", "NUMEXPR_NUM_THREADS": "1"}
     sys.unraisablehook = _not_raised
-    # By default Python looks for garbage after each 700 new objects, also while 1700 modules are loaded: a
-    # tenth of the time of a short run.
+    # By default Python collects garbage after each 700 new objects, also while 1700 modules are loaded. This
+    # is a tenth of the time of a short run.
     gc.set_threshold(1_000_000, 20, 100)
-    # Nor does it look for any at the end, where all memory is given back anyway: an eighth of a short run.
+    # No collection at the end, when all memory is released. This saves an eighth of a short run.
     atexit.register(gc.freeze)
     warnings.formatwarning = lambda message, *_: f"protochain: {message}\n"
     if len(sys.argv) == 1:
         sys.argv.append("--help")
     if None in (sys.stdin, sys.stdout, sys.stderr):
-        # The next file opened would take the place of the closed stream, and get what is printed.
+        # The next opened file would replace the closed stream, and receive the printed text.
         sys.stderr = sys.stderr or io.StringIO()
         sys.exit(fail("standard input, output or error is closed; give it a file, or /dev/null", BAD_INPUT))
     with redirect_stdout(Printable(sys.stdout)), redirect_stderr(Printable(sys.stderr)):
@@ -149,7 +149,7 @@ def _status() -> int:
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"
         return fail(f"{error.format_message().rstrip('.')}. See {command} --help.", BAD_INPUT)
     except (BrokenPipeError, SystemExit) as error:
-        # Where nobody reads on, Typer and rich would end with 1.
+        # If the reader has closed the pipe, Typer and rich would return 1.
         if BrokenPipeError not in map(type, (error, error.__context__)):
             raise
         _close_output()
@@ -168,11 +168,11 @@ def _status() -> int:
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What a disk says that takes no more."""
+"""Errors of a full disk."""
 _NO_WAY = (errno.EACCES, errno.ENAMETOOLONG)
-"""What the system says of a name that leads nowhere, whoever asks: even whether a file is there."""
+"""Errors of paths that cannot be reached, also by a test for existence."""
 
 
 def _close_output() -> None:
-    """Let what is left in the buffer vanish: at its end Python would try once more, and say so at length."""
+    """Discard the buffer. At exit, Python would try to write it again and print a traceback."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _NOT_COMPARED = "tolerance restraint max_rmsd"
-"""Settings of a minimisation that a comparison does not have, or has a default of its own for."""
+"""Settings of a minimisation that a comparison does not have, or for which it has another default."""
 
 
 @with_detail
@@ -100,7 +100,7 @@ def compare(
 
 
 def _check_methods(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:
-    """Names of methods, each once; settings that make no sense for one of them are refused."""
+    """Names of methods, without duplicates. Raise if settings are invalid for one of them."""
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import recipe_of
 
@@ -112,7 +112,7 @@ def _check_methods(methods: str, tolerance: float, max_evaluations: int) -> tupl
 
 @contextmanager
 def _one_bar_each(max_evaluations: int) -> Iterator[Callable[[str], "Watcher"]]:
-    """Show the bar of one method at a time: a terminal draws one."""
+    """Show the bar of one method at a time, as a terminal draws only one."""
     with ExitStack() as shown:
 
         def watch(method: str) -> "Watcher":

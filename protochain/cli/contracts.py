@@ -1,4 +1,4 @@
-"""What commands print and write, from the columns and types that they use themselves."""
+"""Output of the commands, from the columns and types that they use."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -63,7 +63,7 @@ _OTHERS = {
     )
     for name in names.split()
 }  # fmt: skip
-"""Kinds of names in rows that have no columns, where the name does not tell."""
+"""Kinds of names in rows without columns, if the name does not show the kind."""
 _ENDS = ("start", "end")
 _OF_RELAXING = (*of_relaxing.COLUMNS, *of_relaxing.INTERFACE_COLUMNS)
 _KNOWN: Kinds = {
@@ -78,7 +78,7 @@ _KNOWN: Kinds = {
 }
 _OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
 _KNOWN |= zip(LIGAND_ENDS, _OF_LIGANDS, strict=False)  # The names of its last columns have units.
-"""Kinds of names: of columns, and of measures, which say themselves what they are."""
+"""Kinds of names of columns and measures, which have a kind."""
 
 
 def _row(names: str | Iterable[str | Column], **further: Kind) -> Kinds:
@@ -95,7 +95,7 @@ def _optional(kinds: Kinds) -> Kinds:
 
 
 def _cells(*kinds: Kinds) -> Kinds:
-    """Columns of a table: cells may be empty."""
+    """Columns of a table, whose cells may be empty."""
     return {name: cell(kind) for columns in kinds for name, kind in columns.items()}
 
 
@@ -129,7 +129,7 @@ _RELAXED = {
 
 
 def _frames(columns: Iterable[str | Column], optional: Iterable[str | Column] = ()) -> Kinds:
-    """Columns of a table of frames, which only those have that could be used."""
+    """Columns of a table of frames. Unusable frames have empty cells."""
     task_columns = {**_row(columns), **_optional(_row(optional))}
     first = {**_row(FIRST, frame=int), **_optional(_row(FIRST[-1:]))}
     return _cells(first, task_columns, _row("seconds"), _optional(_row("output_frame")))
@@ -147,7 +147,7 @@ _BATCH_MORE = (r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
 
 
 def _of_batch(columns: Iterable[str], optional_columns: Iterable[str]) -> Kinds:
-    """Columns of a batch; ``others`` are there if their method, or an interface, is."""
+    """Columns of a batch. ``optional_columns`` depend on methods and on an interface."""
     return _cells(_row(columns), _optional(_row(optional_columns)))
 
 
@@ -380,4 +380,4 @@ CONTRACTS: Mapping[str, Contract] = {
     "info": Contract((_FACTS,)),
     "build": Contract((_row("n_atoms n_residues output"),)),
 }  # fmt: skip
-"""By command."""
+"""Contracts by command."""

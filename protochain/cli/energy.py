@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
 
 _MOST_ROWS = 25
-"""Rows that are printed; those of the largest totals."""
+"""Printed rows, with the largest totals."""
 
 
 @options.with_settings(setup="hinges root move rigid_protein engine device terms")
@@ -88,7 +88,7 @@ def energy(
 
 
 def _print(table: "DataFrame", by: str) -> None:
-    """Print by term a line a term; else the rows of the largest totals."""
+    """Print a line for each term, or for residues and pairs the rows with the largest totals."""
     if by == "term":
         shown = table.set_index("of").T
         print(shown[shown.any(axis=1)].rename_axis("kJ/mol").reset_index().to_string(**_FORMAT))

@@ -1,4 +1,4 @@
-"""Minimising a structure first, by turning hinges, as simulate and modes do."""
+"""Initial minimisation in torsions, for simulate and modes."""
 
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ METHOD = "lbfgs"
 
 
 def announce_duration(source: object, chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
-    """Say before a long run how long it will be, with a minimisation of so many times the usual length."""
+    """Report the expected time of a long run, with a minimisation of ``times`` the usual length."""
     typical = times * typical_evaluations(METHOD, defaults.MAX_EVALUATIONS)
     limit = defaults.MAX_EVALUATIONS if times else 0
     foretell(source, chain, energy, evaluations + typical, evaluations + limit)
@@ -27,7 +27,7 @@ def minimise_first(
     chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED,
     restraint: "Sequence[Restraint]" = (),
 ) -> "tuple[Solution, str]":  # fmt: skip
-    """Minimise to a largest torque (kJ/mol/rad), with restraints; return also what it changed, in words."""
+    """Minimise to a largest torque (kJ/mol/rad), with restraints. Return also a line about the changes."""
     from protochain.minimisers import minimise
 
     with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:

@@ -1,4 +1,4 @@
-"""What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
+"""Runs over frames, by ``--trajectory`` and ``--frames``, with a row for each frame."""
 
 import sys
 from collections import Counter
@@ -43,12 +43,12 @@ Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue wher
 
 
 def are_requested(trajectory: Path | None, frames: str | None) -> bool:
-    """Whether a command is to go over frames."""
+    """Whether a command runs over frames."""
     return trajectory is not None or frames is not None
 
 
 def single_structure(inputs: Sequence[str | Path]) -> Path:
-    """The one structure that frames are of."""
+    """Structure of the frames. Raise unless there is exactly one."""
     if len(inputs) != 1 or not options.is_one_file(str(inputs[0])):
         raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
     return Path(inputs[0])
@@ -67,7 +67,7 @@ def run_if_requested(
     alone: str = "workers resume",
     **how: Any,
 ) -> None:
-    """Go over frames if asked for, and exit; options ``refused`` are none of these, ``alone`` only theirs."""
+    """Run over frames if requested, and exit. Options ``excluded`` exclude frames, ``alone`` require them."""
     if not are_requested(trajectory, frames):
         return options.refuse(
             context, alone, "is of frames, of which there are none without ", Argument("trajectory")
@@ -84,25 +84,25 @@ def run_if_requested(
 
 
 _ENDINGS = {"validate": "validated"}
-"""Of tables, where it is not the name of the task."""
+"""Endings of tables, if they differ from the name of the task."""
 
 
 def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults.TIME_LIMIT) -> "Processes":
-    """Who does the frames: processes of their own, as a damaged file may end the one that reads it."""
+    """Processes for the frames, as a damaged file may end the process that reads it."""
     from protochain.batches.cluster import Processes
 
     return Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
 
 
 def started_early(setup: "Setup", workers: int | None) -> AbstractContextManager[None]:
-    """Start the processes of :func:`run`, which takes a second to import what it needs, as they do."""
+    """Start the processes of :func:`run` now, as their imports take a second."""
     return _processes(setup, workers).started_early()
 
 
 def open_ensemble(
     source: Path, trajectory: Path | None, frames: str | None, setup: "Setup"
 ) -> "tuple[Ensemble, Frames]":
-    """Prepare the structure, and open its frames; say what was changed."""
+    """Prepare the structure, and open its frames. Print the changes."""
     from protochain.batches.frames import ensemble_of
     from protochain.structure.molecule.repairs import Kind
 
@@ -132,13 +132,13 @@ def run(
     as_json: bool = False,
     reads: Sequence[Path] = (),
 ) -> int:
-    """Go over frames; write table, trajectory and page, print what became of them; return the exit status."""
+    """Run over frames. Write table, trajectory and page, print the results, and return the exit status."""
     from protochain.batches.frame_files import files_of, run_frames
     from protochain.cli.terminal import frames_progress
 
     processes = _processes(setup, workers, time_limit)
     files = files_of(table, output)
-    replaces = not resume and (force or not files[1].exists())  # Where there is a checkpoint, it is refused.
+    replaces = not resume and (force or not files[1].exists())  # A checkpoint is refused otherwise.
     options.check_outputs([source, trajectory, *reads], [*files, report], setup, force, replaces)
     options.check_page(report)
     with claimed_files(*files):
@@ -172,7 +172,7 @@ def run(
 
 
 def _print(result: "FramesRun", report: Path | None) -> None:
-    """Print how the frames ended, medians, and where all is."""
+    """Print the statuses of the frames, medians, and the written files."""
     counts = ", ".join(f"{n} {status}" for status, n in result.counts.items())
     print(f"{counted(sum(result.counts.values()), 'frame')}: {counts or 'none done'}")
     if result.counts:
@@ -184,11 +184,11 @@ def _print(result: "FramesRun", report: Path | None) -> None:
 
 
 _PARTED = 10.0
-"""Angstrom: molecules that touch in the structure and lie so far apart in a frame may be in two images."""
+"""Angstrom. Molecules in contact in the structure but this far apart in a frame may be in two images."""
 
 
 def _count_split_frames(result: "FramesRun") -> str:
-    """In how many frames molecules that touch in the structure lie far apart, and how far."""
+    """Message on the frames in which molecules that touch in the structure are far apart."""
     import pandas as pd
 
     from protochain.batches.frame_tasks import GAP
@@ -203,7 +203,7 @@ def _count_split_frames(result: "FramesRun") -> str:
 
 
 def _medians(result: "FramesRun") -> str:
-    """Medians of a few columns, in words; of a large table only these are read."""
+    """Medians of a few columns, as text. Only these columns are read."""
     import pandas as pd
 
     from protochain.results.columns import heading
@@ -233,7 +233,7 @@ _WORST = (
     "violations_end", "violations", "energy_end_reference_kj_mol", "total_kj_mol", "rmsd_angstrom",
     "energy_kj_mol",
 )  # fmt: skip
-"""What the worst frames are named by: the first of these that differs between frames."""
+"""Measures of the worst frames. The first one that differs between frames is used."""
 
 
 _SHOWN_COLUMNS = (
@@ -242,4 +242,4 @@ _SHOWN_COLUMNS = (
     "rotamer_outliers", "lddt", "total_kj_mol", "sum_total_kj_mol", "rmsd_angstrom", "tm_score",
     "energy_kj_mol", "buried_area_angstrom2", "packing",
 )  # fmt: skip
-"""Columns whose medians are printed, of those that a table has."""
+"""Columns whose medians are printed, if a table has them."""

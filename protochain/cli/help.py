@@ -1,4 +1,4 @@
-"""Help of a command: the options that people use first, then all others by what they are about."""
+"""Help of a command: the most common options, then all others by subject."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ _FIRST = (
     "output", "method", "methods", "preset", "interface", "reference", "by", "ligands", "report",
     "trajectory", "frames", "scan", "into", "relax", "resume",
 )  # fmt: skip
-"""What people type most, in this order."""
+"""Most common options, in this order."""
 _FEW = 5
 _GROUPS = {
     "Structure": "model assembly altloc chains keep exclude disulfide no_disulfide ph strict frames "
@@ -26,7 +26,7 @@ class Command(TyperCommand):
     """A command whose help has its options in groups."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options, a section each group."""
+        """Write arguments and options, with a section for each group."""
         group = {name: title for title, names in _GROUPS.items() for name in names.split()}
         params = self.get_params(ctx)
         options = {param.name for param in params if param.param_type_name == "option"}

@@ -29,7 +29,7 @@ def info(
 ) -> None:
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
-    # Loaded here, so that the other times are those of the work alone.
+    # Imported here, so that the other times do not include it.
     import_module("protochain.chains.articulate")
     from protochain.chains.contacts import overlaps
     from protochain.energies.factory import checked_files

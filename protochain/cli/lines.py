@@ -1,4 +1,4 @@
-"""Lines of the terminal: each has a kind, and ``--quiet`` and ``--verbose`` select the kinds to print."""
+"""Lines of the terminal. ``--quiet`` and ``--verbose`` select the kinds of lines to print."""
 
 import inspect
 import sys
@@ -13,7 +13,7 @@ from protochain.core.errors import ProtochainError
 
 
 class Detail(IntEnum):
-    """How much a command prints."""
+    """Amount of printed text."""
 
     QUIET = 0
     SHORT = 1
@@ -34,12 +34,12 @@ class Kind(Enum):
 
 
 _WARNINGS = 5
-"""Warnings and remarks that need action, at most; ``--verbose`` prints all."""
+"""Most warnings and remarks that need action. ``--verbose`` prints all."""
 _RESIDUES = 5
 """Residues of a kind in the short list of remaining errors."""
 _RESIDUES_VERBOSE = 6
 _LARGEST_ENERGY = 1e6
-"""kJ/mol. No structure without overlapping atoms has more."""
+"""kJ/mol. Only structures with overlapping atoms have more."""
 OVERLAPPING = "> 1e6 (overlapping atoms)"
 
 _detail = Detail.VERBOSE  # Commands without the options print all.
@@ -89,7 +89,7 @@ def tell(kind: Kind, *lines: str) -> None:
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Print warnings that need action, at most five unless all lines are printed."""
+    """Print warnings that need action, at most five without ``--verbose``."""
     all_lines = [*lines]
     shown = all_lines if is_verbose() else all_lines[:_WARNINGS]
     tell(Kind.WARNING, *shown)
@@ -98,12 +98,12 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def residues_shown() -> int:
-    """Return how many residues of a kind of error are named."""
+    """Return the number of named residues for each kind of error."""
     return _RESIDUES_VERBOSE if is_verbose() else _RESIDUES
 
 
 def energy_text(text: str, value: Any) -> str:
-    """Return the text of an energy, kJ/mol; of overlapping atoms, that these overlap."""
+    """Return the text of an energy, kJ/mol. Large energies are reported as overlapping atoms."""
     return OVERLAPPING if isinstance(value, float) and value > _LARGEST_ENERGY else text
 
 

@@ -148,14 +148,14 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
 
 
 class _Writer:
-    """Writer of structures, each to its own file or at the end all to one."""
+    """Writer of structures, to separate files, or at the end to one file."""
 
     def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
         self.solutions: list[Solution] = []
 
     def __call__(self, solution: "Solution", path: Path) -> None:
-        """Write the structure of a solution, or keep it for the end."""
+        """Write the structure of a solution, or store it for the end."""
         self.solutions.append(solution)
         if not self.one_file:
             options.write_models([solution.structure], path, self.suffix, solution.provenance())
@@ -164,7 +164,7 @@ class _Writer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Write all that is done, even if a later model failed."""
+        """Write all solutions, also if a later model failed."""
         if self.one_file and self.solutions:
             models = [solution.structure for solution in self.solutions]
             noted = (
@@ -209,7 +209,7 @@ def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> Non
 def _once(
     chain: "Chain", energy: "Energy", trajectory: Path | None, **settings: Any
 ) -> tuple["Solution", dict[str, Any]]:
-    """Minimise from the structure as it is; write every accepted point to the trajectory."""
+    """Minimise from the input structure. Write every accepted point to the trajectory."""
     from protochain.minimisers import minimise
 
     lost: list[str] = []
@@ -227,7 +227,7 @@ def _once(
 
 @contextmanager
 def _warnings(lost: list[str]) -> Iterator[None]:
-    """Collect what could not be written; show other warnings as ever."""
+    """Collect warnings about unwritten files. Show all other warnings."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", WriteWarning)
         yield
@@ -239,10 +239,10 @@ def _warnings(lost: list[str]) -> Iterator[None]:
 
 
 class _Frames:
-    """Trajectory, if there is one; a full disk, told in ``lost``, ends it: its space may save the result."""
+    """Trajectory, if requested. A full disk is reported in ``lost`` and ends it, to leave space."""
 
     is_complete = False
-    """Whether the run has a result, beside which the trajectory belongs."""
+    """Whether the run has a usable result. Otherwise the trajectory is discarded."""
 
     def __init__(self, path: Path | None, structure: "Structure", lost: list[str]) -> None:
         from protochain.structure.formats.trajectory import TrajectoryFile
@@ -274,7 +274,7 @@ class _Frames:
 
 
 def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:
-    """Minimise from many starts; return the best solution, and what its record says of all."""
+    """Minimise from many starts. Return the best solution, and entries of its record about all starts."""
     from protochain.minimisers import explore
 
     with terminal.run_progress(settings["method"], settings["max_evaluations"]) as watch:

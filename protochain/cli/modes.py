@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from protochain.energies import Energy
 
 _RELAXED = 0.1
-"""kJ/mol/rad. Largest torque to which a start is minimised: a tenth of what counts as a minimum."""
+"""kJ/mol/rad. Largest torque of a minimised start, a tenth of the limit for a minimum."""
 
 _SHOWN = 10
-"""Modes that are printed; the table has all."""
+"""Printed modes. The table has all."""
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-modes].")
@@ -72,7 +72,7 @@ def modes(
     context.with_resource(claim_folder(output, "analysis of modes"))
     target = measurable(to) if to else None
     chain, energy, preparation = options.prepare(source, setup)
-    # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
+    # Two evaluations for each row of the Hessian, or for about 700 products. An analytic one costs a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
     announce_duration(source, chain, energy, evaluations, int(relax))
     with held_interrupts():
@@ -94,7 +94,7 @@ def modes(
 
 
 def _minimise(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
-    """Coordinates of a minimum, by turning hinges where torques are left, and what was done."""
+    """Coordinates of a minimum in torsions, and a line about the minimisation, if any."""
     from protochain.comparison.hessian import torques_at
     from protochain.comparison.modes import FLAT
 
@@ -109,7 +109,7 @@ def _minimise(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats",
 
 
 def _print(analysis: "NormalModes", record: dict[str, Any]) -> None:
-    """Print the lowest frequencies, and what follows from the modes."""
+    """Print the lowest frequencies, and quantities from the modes."""
     print(f"{record['structure']}: {record['message']}")
     shown = ", ".join(f"{frequency:.2f}" for frequency in analysis.frequencies[:_SHOWN])
     ellipsis = " ..." if analysis.n_modes > _SHOWN else ""

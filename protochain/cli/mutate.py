@@ -108,7 +108,7 @@ def mutate(
 
 
 def _print(mutation: "Mutation") -> None:
-    """Print the energies of a mutant, and what they mean."""
+    """Print the energies of a mutant, and their meaning."""
     ddg, bound, unfolded = mutation.ddg, mutation.interface_change, mutation.unfolded
     parts = f"{mutation.change:.1f} kJ/mol, in GGXGG {'-' if unfolded is None else f'{unfolded:.1f}'}"
     tell(
@@ -129,7 +129,7 @@ def _scan(
     how: tuple[int | None, str | None, float], report: Path | None, *,
     resume: bool, as_json: bool, force: bool,
 ) -> int:  # fmt: skip
-    """Scan sites; write the table, and the page with the heat map."""
+    """Scan sites. Write the table, and the page with the heat map."""
     from protochain.batches.cluster import Processes
     from protochain.batches.mutation_scan import heat_map, run_scan
     from protochain.cli.rows import print_rows

@@ -1,4 +1,4 @@
-"""Options that commands share, and how each command prepares its input."""
+"""Shared options of the commands, preparation of inputs, and checks and writing of outputs."""
 
 import inspect
 import math
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 CONVERGED, FAILED, BAD_INPUT, UNCONVERGED, SOME_REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
-"""Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged, 4 when some of
-several inputs were refused, 130 when a signal ended the command."""
+"""Exit statuses: 1 without a usable result, 3 if a usable result is not converged, 4 if some of several
+inputs were refused, 130 if a signal ended the command."""
 
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
 
 _SHOWN_OVERLAPS = 5
-"""Overlaps reported before a run; ``info`` lists all."""
+"""Overlaps reported before a run. ``info`` lists all."""
 
 Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
@@ -69,9 +69,9 @@ Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Replace keyword-only parameters, classes of settings, by options of their fields, but ``without``."""
+    """Replace keyword-only parameters of settings classes by options of their fields, except ``without``."""
 
-    # An option of two classes is given to both; one that the command has itself is its own.
+    # An option of two classes is passed to both. Options of the command itself are not passed.
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         parameters = inspect.signature(command).parameters.values()
         plain = [p for p in parameters if p.kind is not p.KEYWORD_ONLY]
@@ -100,7 +100,7 @@ def _options(field: Field[Any]) -> Iterator[inspect.Parameter]:
     setting: Setting | None = field.metadata.get("setting")
     if setting is None or not setting.help:
         return
-    # Other defaults are told in the help.
+    # Other defaults are in the help.
     plain = type(field.default) in (bool, int, float, str) and field.default != math.inf and not setting.read
     usual = (not setting.turns_off and field.default) if plain else None
     kind = setting.kind if plain else setting.kind | None
@@ -118,7 +118,7 @@ def _option(name: str, kind: Any, usual: Any, names: list[str], setting: Setting
 
 
 def _build_settings(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
-    """Settings made of options; those that are not given keep their defaults. None without what they need."""
+    """Settings from options. Missing options have their defaults. None if a required option is missing."""
     arguments = {}
     for name, setting in settings_of(kind):
         value: Any = options.get(name)
@@ -141,7 +141,7 @@ def _build_settings(kind: type[Made], options: Mapping[str, Any]) -> Made | None
 
 
 def refuse(context: typer.Context, names: str, *reason: object) -> None:
-    """Refuse the first of some options that was given on the command line: nothing would come of it."""
+    """Raise for the first of some options on the command line, as it would have no effect."""
     for name in names.split():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
@@ -149,7 +149,7 @@ def refuse(context: typer.Context, names: str, *reason: object) -> None:
 
 
 def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bool = False) -> int:
-    """Exit status of a command of several results; ``usable`` tells whether any of them was written."""
+    """Exit status of a command of several results. ``usable`` is true if at least one was written."""
     count = Counter(statuses)
     if interrupted or count["interrupted"]:
         return INTERRUPTED
@@ -172,7 +172,7 @@ def batch_status(result: "Batch") -> int:
 def end_folder(
     folder: Path, show: Callable[[], object], as_json: bool, interrupted: bool, status: int
 ) -> None:
-    """Print what a folder of results holds, and exit."""
+    """Print the contents of a folder of results, and exit."""
     if as_json:
         print((folder / "summary.json").read_text())
     else:
@@ -189,14 +189,14 @@ def fail(message: str, status: int = FAILED) -> int:
 
 
 def print_json(record: Mapping[str, Any]) -> None:
-    """Print one object on one line; null where a number is not finite."""
+    """Print one object on one line. Numbers that are not finite are null."""
     from protochain.core.storage import json_text
 
     print(json_text(record, None))
 
 
 def print_files(*paths: str | Path | None) -> None:
-    """Name the files that were written, a line each; None stands for one that was not asked for."""
+    """Print the names of written files, one a line. None is skipped."""
     tell(Kind.WRITTEN, *(f"written: {path}" for path in filter(None, paths)))
 
 
@@ -208,7 +208,7 @@ def named_after(source: Path) -> tuple[str, str]:
 
 
 def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
-    """Prepare a file; report changes and overlaps on standard error. Return also the seconds taken."""
+    """Prepare a file. Report changes and overlaps on standard error. Return also the time in seconds."""
     from protochain.chains.contacts import overlaps
 
     began = perf_counter()
@@ -223,7 +223,7 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 
 
 def describe_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
-    """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
+    """Describe the moving atoms, residues and hinges of a selection. Empty if all atoms move."""
     from protochain.chains.articulate import turned_atoms
     from protochain.structure.select import moving_mask
 
@@ -246,7 +246,7 @@ def _count_atoms(structure: "Structure", atoms: Any) -> str:
 def print_changes(
     source: Path, structure: "Structure", read: Sequence[str] = (), warnings: Sequence[str] = ()
 ) -> None:
-    """Print on standard error what was read and changed to prepare a file, losses first, and warnings."""
+    """Print the size of a prepared file, its changes, losses first, and warnings on standard error."""
     from protochain.structure.molecule.repairs import counts_of_changes, needs_action, summarise
 
     repairs = structure.repairs
@@ -264,11 +264,11 @@ def print_changes(
 
 
 VIOLATIONS_SHOWN = 5
-"""Violated restraints that a command prints."""
+"""Most violated restraints that a command prints."""
 
 
 def print_violations(record: "Mapping[str, Any]") -> None:
-    """Print the restraints that a result violates, worst first."""
+    """Print the violated restraints of a result, worst first."""
     from protochain.chains.restraint_list import RestraintValue
 
     violated = record.get("restraint_violations") or []
@@ -282,7 +282,7 @@ def print_violations(record: "Mapping[str, Any]") -> None:
 
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
-    """Print what the structures of records, or of rows of a table, lost."""
+    """Print the losses of the structures of records, or of rows of a table."""
     from protochain.structure.preparation.losses import loss_lines
 
     tell(Kind.RESULT, *loss_lines(rows, as_option))
@@ -297,11 +297,11 @@ RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
     for name, setting in settings_of(kind)
     if setting.option
 }
-"""Options with other names than the arguments of the library."""
+"""Options whose names differ from the arguments of the library."""
 
 
 def as_option(part: Argument | Angle) -> str:
-    """Part of a message in the words of the command line: an argument is an option, angles are in degrees."""
+    """Part of a message for the command line: an option for an argument, degrees for an angle."""
     if isinstance(part, Angle):
         return f"{math.degrees(part.radians):g} degrees"
     option = f"--{RENAMED.get(part.name, part.name).replace('_', '-')}"
@@ -309,7 +309,7 @@ def as_option(part: Argument | Angle) -> str:
 
 
 def has_poses(setup: Setup) -> bool:
-    """Whether several poses of a ligand are given, each of which is added by itself."""
+    """Whether there are several poses of a ligand, which are added separately."""
     if not setup.poses:
         return False
     from protochain.structure.ligand_files import are_several
@@ -324,7 +324,7 @@ def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup
     if all(Path(name).is_file() for name in names) and not isinstance(setup.model, str) and not poses:
         rows = [(name, Path(name), setup) for name in names]
     else:
-        # Only here, as it takes a second to load.
+        # Imported only here, as it takes a second.
         from protochain.batches.jobs import BatchSettings, find_jobs
 
         jobs = find_jobs(names, BatchSettings(setup=setup))
@@ -337,12 +337,12 @@ def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup
 
 
 def is_one_file(source: str) -> bool:
-    """Whether an input is a file, or could be one that is not there: no folder and no pattern."""
+    """Whether an input is a file, or a missing one, rather than a folder or a pattern."""
     return source == "-" or Path(source).is_file() or not (Path(source).is_dir() or set("*?[") & set(source))
 
 
 def _name(path: Path) -> str:
-    """Path as a user would write it: relative to the folder he is in, if it lies there."""
+    """Path, relative to the current folder if it is inside."""
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
@@ -353,7 +353,7 @@ def check_outputs(
     force: bool | None = None,
     replaces: bool = True,
 ) -> None:
-    """Refuse, before any work, outputs that would replace an input or one another or cannot be written."""
+    """Raise before any work if outputs would replace an input or each other, or cannot be written."""
     from protochain.core.storage import check_writable
     from protochain.structure.preparation.prepare import user_files
 
@@ -374,7 +374,7 @@ def check_outputs(
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
-    """Refuse names of outputs that tell another format or none, and two outputs on standard output."""
+    """Raise for outputs with a wrong or unknown suffix, and for two outputs on standard output."""
     from protochain.structure.ligand_files import check_ligand_file
     from protochain.structure.write import check_format
 
@@ -388,7 +388,7 @@ def check_names(output: Path, report: Path | None, ligands: Path | None, as_json
 
 
 def check_page(report: Path | None) -> None:
-    """Refuse a name of a page that tells another format."""
+    """Raise if the name of a page does not end in .html."""
     if report and report.suffix.lower() != ".html":
         raise ProtochainError(f"{report}: give a name that ends in .html")
 
@@ -396,7 +396,7 @@ def check_page(report: Path | None) -> None:
 def write_models(
     models: "list[Structure]", output: Path, suffix: str, remarks: Iterable[str], hydrogens: bool = True
 ) -> None:
-    """Write to a file, or to standard output in the format of a suffix; mmCIF where PDB is too small."""
+    """Write to a file, or to standard output in the format of a suffix, or mmCIF if PDB is too small."""
     from protochain.structure import save
     from protochain.structure.write import as_text, common_suffix
 
@@ -407,7 +407,7 @@ def write_models(
 
 
 def check_structure(structure: "Structure", output: Path, ligands: Path | None) -> None:
-    """Refuse outputs that cannot hold a structure; say what will be named otherwise."""
+    """Raise if an output cannot store a structure. Warn about changed names."""
     from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
@@ -427,7 +427,7 @@ def write_outputs(
     ligands: Path | None,
     trace: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a structure and all beside it, as far as the disk holds it; return the record, or end without."""
+    """Write a structure and its further files. Report a full disk. Return the record, or exit without one."""
     from protochain.core.storage import write_atomically
     from protochain.structure.formats.confidences import copy_confidences
 
@@ -458,5 +458,5 @@ def write_outputs(
 
 
 def redirect_messages(output: Path) -> AbstractContextManager[Any]:
-    """Where a command prints, while a structure may be on standard output."""
+    """Redirect messages to standard error if the structure is on standard output."""
     return redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext()

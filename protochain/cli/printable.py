@@ -1,4 +1,4 @@
-"""What is printed: names of files may hold codes that drive a terminal, which are shown instead."""
+"""Printed text. Names of files may contain terminal control codes, which are escaped."""
 
 import os
 import re
@@ -15,23 +15,23 @@ _UNUSUAL = re.compile(r"[^\n\t -~]")
 
 
 def printable(text: str) -> str:
-    """Text in which characters that are not to be seen, as control characters, are as ``repr`` has them."""
+    """Text with invisible characters, such as control characters, escaped as by ``repr``."""
     return _UNUSUAL.sub(lambda match: match[0] if match[0].isprintable() else ascii(match[0])[1:-1], text)
 
 
 class Printable:
-    """Stream that writes what is printable to another."""
+    """Stream that writes printable text to another stream."""
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw
 
     def write(self, text: str) -> int:
-        """Write text, as a stream does."""
+        """Write text, like a stream."""
         self.raw.write(printable(text))
         return len(text)
 
     def writelines(self, lines: "Iterable[str]") -> None:
-        """Write lines, as a stream does."""
+        """Write lines, like a stream."""
         for line in lines:
             self.write(line)
 
@@ -40,12 +40,12 @@ class Printable:
 
 
 def printer(stderr: bool = False) -> "Console":
-    """Console of rich that writes its own codes, for colours and bars, and what is printable of all else."""
+    """Console of rich that writes its own control codes and escapes all others."""
     from rich.console import Console
 
     class Printing(Console):
         def render_str(self, text: str, **options: Any) -> "Text":
-            # Before its width is taken.
+            # Before its width is measured.
             return super().render_str(printable(text), **options)
 
         def render(self, renderable: Any, options: Any = None) -> "Iterable[Any]":
@@ -54,5 +54,5 @@ def printer(stderr: bool = False) -> "Console":
 
     stream = sys.stderr if stderr else sys.stdout
     is_seen = stream.isatty() or "COLUMNS" in os.environ
-    # What reads a pipe wants each row in a line.
+    # In a pipe, each row is one line.
     return Printing(file=getattr(stream, "raw", stream), stderr=stderr, width=None if is_seen else 10_000)

@@ -112,7 +112,7 @@ def relax(
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
-    """Relax every frame, once the name of the output is known to be one."""
+    """Task that relaxes every frame. Raise if the name of the output is invalid."""
     from protochain.batches.frame_files import check_output
     from protochain.batches.frame_tasks import RelaxFrames
 
@@ -121,7 +121,7 @@ def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
 
 
 def _output_of_frames(frames: Path) -> Path:
-    """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
+    """Name of the relaxed frames, with the format of the input, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
     from protochain.structure.formats.files import format_of
     from protochain.structure.formats.trajectory import FORMATS
@@ -136,7 +136,7 @@ def _one(
     source: Path, output: Path | None, relaxing: RelaxSettings, setup: Setup, report: Path | None,
     ligand_out: Path | None, timings: bool, as_json: bool, force: bool,
 ) -> int:  # fmt: skip
-    """Relax one file; return the exit status."""
+    """Relax one file. Return the exit status."""
     from protochain.cli.relaxing import print_plan, print_relaxed, progress
     from protochain.cli.terminal import print_timings
     from protochain.core.interrupts import held_interrupts
@@ -186,7 +186,7 @@ def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> Non
 
 
 def _report_trajectories(inputs: list[str]) -> None:
-    """Say which trajectories in folders are left aside, and what relaxes their frames."""
+    """Report skipped trajectories in folders, with the commands that relax them."""
     from protochain.structure.formats.files import format_of
     from protochain.structure.formats.frames import trajectories
 
@@ -202,7 +202,7 @@ def _several(
     inputs: list[str], output: Path | None, manifest: Path | None, relaxing: RelaxSettings, setup: Setup,
     extras: list[Path], processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
 ) -> None:  # fmt: skip
-    """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
+    """Relax many files into a folder, write their poses to one further file, and exit with the status."""
     from protochain.batches.batch_structures import relax_files
     from protochain.batches.naming import poses_name
     from protochain.batches.table import RELAXED, replaceable_files

@@ -1,4 +1,4 @@
-"""What ``protochain relax`` says: first what it will do, then what became better."""
+"""Printed text of ``protochain relax``: the plan, then the improvements."""
 
 import textwrap
 from contextlib import AbstractContextManager, nullcontext
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 _EVALUATIONS = 90
-"""That relaxations usually take."""
+"""Usual evaluations of a relaxation."""
 _WIDTH = 80
 """Characters of the narrowest terminal."""
 _LIGANDS = 3
-"""Ligands that are listed, those that moved farthest."""
+"""Listed ligands, with the largest motion."""
 _SHOWN = 10
-"""Structures without a result, or with something left to mend, that are listed."""
+"""Listed structures that failed or are not converged."""
 _SHOW_FROM = 5.0
-"""s. Shorter runs are over before a bar is of use, and do without the time that its library takes to load."""
+"""s. Shorter runs do not show a bar, whose library loads slowly."""
 
 
 @part("measuring")
 def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
-    """Say what will be done to a file, and how long it may take; return that in seconds."""
+    """Print the plan for a file and its expected time. Return the time in seconds."""
     from protochain.relaxation.problems import Problems
 
     x = structure.positions
-    energy(x)  # It loads kernels.
+    energy(x)  # Loads kernels.
     began = monotonic()
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
@@ -71,7 +71,7 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
 
 
 def _breaks(structure: "Structure") -> list[str]:
-    """Breaks in chains, in words."""
+    """Line about chain breaks, if any."""
     protein_residues = np.unique(structure.atom_residue[~structure.kept])
     _, first = np.unique(structure.residue_chain_index[protein_residues], return_index=True)
     n = len(first) - len({*structure.residue_chain[protein_residues[first]].tolist()})
@@ -80,7 +80,7 @@ def _breaks(structure: "Structure") -> list[str]:
 
 
 def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
-    """Show stage, energy and evaluations of a run that takes long."""
+    """Show stage, energy and evaluations of a long run."""
     if seconds < _SHOW_FROM:
         return nullcontext()
     from protochain.cli.terminal import evaluations_progress
@@ -89,7 +89,7 @@ def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
 
 
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
-    """Print what is wrong before and after, how far the structure moved, and where it is."""
+    """Print the violations before and after, the motion, and the written files."""
     from protochain.relaxation.record import ENERGY, before_and_after
     from protochain.structure.molecule.repairs import summarise
     from protochain.validation.findings import remains_in_words
@@ -137,7 +137,7 @@ def _print_wrapped(kind: Kind, lines: list[str]) -> None:
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:
-    """Print how many ended how, what is left to mend, and where all is."""
+    """Print the number of each status, remaining violations, and the written files."""
     from protochain.cli.terminal import count_violations, ligands_moved
 
     usable = table[table["output"].notna()]

@@ -67,7 +67,7 @@ def rmsd(
 
 
 def print_deviations(rows: Rows) -> None:
-    """Print a row for each model measured."""
+    """Print a row for each model."""
     headings = ("file", "model", "RMSD angstrom", "TM-score", "matched residues", "chains")
     print_rows(headings, [
         (

@@ -1,4 +1,4 @@
-"""How commands end that have a row for each of many structures: tables, what is printed, the status."""
+"""Results of commands with a row for each structure: tables, printed rows and exit status."""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ Rows = list[dict[str, Any]]
 
 
 def refusal_row(error: object, **row: Any) -> dict[str, Any]:
-    """Report on standard error why a structure has no result; return its row."""
+    """Report the reason for a missing result on standard error. Return the row."""
     print(" ".join(str(error).split()), file=sys.stderr)
     return {**row, "message": str(error)}
 
@@ -32,7 +32,7 @@ def conclude(
     is_sound: bool = True,
     **noted: Any,
 ) -> None:
-    """Write the tables that are asked for, print the rows or one object, and exit; if not sound with 3."""
+    """Write the requested tables, print the rows or one object, and exit, with 3 if not ``is_sound``."""
     from protochain.core.storage import write_atomically
 
     for path, table in tables.items():
@@ -51,21 +51,21 @@ def conclude(
 
 
 def table_of(rows: Rows, without: Iterable[str] = ()) -> "DataFrame":
-    """Rows as a table, without what a cell cannot hold."""
+    """Rows as a table, without the columns ``without``."""
     import pandas as pd
 
     return pd.DataFrame(rows).drop(columns=[*without], errors="ignore").convert_dtypes()
 
 
 def concatenate(tables: "Sequence[DataFrame]") -> "DataFrame":
-    """Tables below one another; none of none."""
+    """Concatenate tables. Without tables, return an empty one."""
     import pandas as pd
 
     return pd.concat(tables) if tables else pd.DataFrame()
 
 
 def print_rows(headings: Iterable[str], rows: Iterable[Sequence[Any]], texts: int = 1) -> None:
-    """Print rows below headings, the first ``texts`` columns as text, all others as numbers."""
+    """Print rows below headings. The first ``texts`` columns are text, all others numbers."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -81,4 +81,4 @@ def _read(axis_text: str) -> tuple[str, list[float]]:
 
 
 _MOST = 1e6
-"""Values of a hinge: more are a slip."""
+"""Most values of a hinge. Larger numbers are errors."""

@@ -1,4 +1,4 @@
-"""``protochain schema``: what the commands print and write, as JSON Schema."""
+"""``protochain schema``: output of the commands, as JSON Schema."""
 
 import hashlib
 import json
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from protochain.results.schema import Schema
 
 _VERSIONS = "schemas.txt"
-"""A line for each version of each command's results: command, version, and digest of the schema."""
+"""Lines with command, version of its results, and digest of the schema."""
 
 
 def schema(
@@ -36,7 +36,7 @@ def schema(
 
 
 def schema_of(command: str) -> "Schema":
-    """Schema of what a command prints, tables and folder in its ``$defs``."""
+    """Schema of the printed output of a command, with tables and folder in ``$defs``."""
     from protochain.cli.contracts import CONTRACTS
     from protochain.results.schema import document
 

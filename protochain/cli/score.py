@@ -27,7 +27,7 @@ _SHOWN = {
     "interface_plddt": "pLDDT", "iptm": "ipTM", "pae_angstrom": "PAE",
     "ipsae": "ipSAE", "pdockq": "pDockQ", "pdockq2": "pDockQ2",
 }  # fmt: skip
-"""Columns of the terminal; kJ/mol and square angstrom."""
+"""Columns of the terminal, in kJ/mol and square angstrom."""
 
 
 @with_detail
@@ -98,7 +98,7 @@ def score(
     options.check_page(report)
     files = options.files_of(inputs, setup)
     options.check_outputs([*reads, *(path for _, path, _ in files)], [csv, residues, report], setup)
-    # A process cannot read this one's standard input.
+    # Another process cannot read the standard input of this one.
     alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
     if alone:
         options.refuse(context, "workers", "is of several files, none of them standard input")
@@ -137,7 +137,7 @@ def score(
 
 
 def _place(value: Any, better: int) -> tuple[bool, float]:
-    """Place in a ranking: the best first, those without a number last."""
+    """Sort key of a ranking: the best first, missing values last."""
     return value is None, -(better or 1) * (value or 0.0)
 
 

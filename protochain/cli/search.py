@@ -76,10 +76,10 @@ def search(
 
 
 def is_sequence(source: Path) -> bool:
-    """Whether the input is no file, but could be one-letter codes."""
+    """Whether the input is not a file, but could be one-letter codes."""
     from protochain.structure.molecule.residues import STANDARD
 
     if not {*str(source)} <= {*STANDARD.values()}:
         return False
-    # A name of more letters can be no file's, and the system would not say whether there is one.
+    # A longer name cannot be a file, and the system would raise an error.
     return len(str(source)) > 255 or not source.exists()

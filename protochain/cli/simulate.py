@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from protochain.energies import Energy
 
 _RELAXED = 10.0
-"""kJ/mol/rad. Largest torque at the start: the strain that is left heats little."""
+"""kJ/mol/rad. Largest torque at the start. The remaining strain heats little."""
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
@@ -64,7 +64,7 @@ def simulate(
     context.with_resource(claim_folder(output, "simulation", running.resume))
     chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:
-        prepare_chain(chain, simulation)  # What is not there is said before the work.
+        prepare_chain(chain, simulation)  # Reports missing hinges before the work.
     relax = relax and not running.resume
     troubled = relax and print_outlook(source, chain.structure, METHOD)
     times = (TROUBLED if troubled else 1) if relax else 0
@@ -84,7 +84,7 @@ def simulate(
 
 
 def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
-    """Print what a simulation came to, and exit."""
+    """Print the result of a simulation, and exit."""
     record = {**result.record(), **origin}
     if as_json:
         options.print_json(record)
@@ -97,9 +97,9 @@ def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
 
 
 def _minimise(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
-    """Minimise by turning hinges; report what it changed, and return the coordinates."""
+    """Minimise in torsions, report the changes, and return the coordinates."""
     relaxed, stated = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
-    # Without constraints: the force field holds the loops, and takes the strain from them, too.
+    # Without loop constraints. The force field closes the loops, and their strain is minimised, too.
     note = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
     tell(Kind.PROGRESS, f"{stated}{note}")
     return relaxed.q

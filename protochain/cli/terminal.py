@@ -1,4 +1,4 @@
-"""Output of the command line: a bar while it computes, a table when it is done."""
+"""Output of the command line: a progress bar, and tables of results."""
 
 import math
 import sys
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 _WIDTH = 80
-"""Characters of the narrowest terminal that holds the table of results."""
+"""Least width, in characters, for the table of results."""
 
 _SHOWN_FAILURES = 10
-"""Structures or frames without a result to list; the table and the page have all."""
+"""Listed structures or frames without a result. The table and the page have all."""
 
 _SHOWN_MINIMA = 5
-"""Of a search, the lowest; the table and the page have more."""
+"""Listed lowest minima of a search. The table and the page have more."""
 
 _LINE_EVERY = 60.0
-"""s between lines where there is no terminal."""
+"""s between lines without a terminal."""
 _LONG = 30.0
-"""s. A run that is expected to take longer says so before it begins."""
+"""s. The expected time of longer runs is reported at the start."""
 
 
 class _Progress:
-    """A bar on a terminal; elsewhere a line a minute. Runs take ``typical`` steps, ``most`` at most."""
+    """Bar on a terminal, or a line a minute. Runs have ``typical`` steps, and at most ``longest``."""
 
     def __init__(self, name: str, typical: int, longest: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
@@ -65,9 +65,9 @@ class _Progress:
         self.began = self.printed_at = monotonic()
 
     def show(self, n_done: float, now: str | None = None) -> None:
-        """Show how many steps or evaluations are done, and what is so far."""
+        """Show the number of steps or evaluations, and the current state."""
         if n_done < self.n_done or not self.first:
-            # The next of many starts, or a resumed run.
+            # A further start, or a resumed run.
             self.began, self.first = monotonic(), n_done
         self.n_done, self.now = n_done, self.now if now is None else now
         name = f"{self.name}: {self.stage}" if self.stage else self.name
@@ -99,11 +99,11 @@ class _RunProgress(_Progress):
     writes = True
     """Whether the result will be written."""
     counts = True
-    """Whether only evaluations are known of the stage: its energy is not the force field's."""
+    """Whether to show only evaluations, as the energy of the stage is not the energy of the force field."""
 
     @property
     def wants_positions(self) -> bool:
-        """Whether the positions it is called with are used."""
+        """Whether this watcher uses positions."""
         return self.use_positions is not None
 
     def at_stage(self, name: str, evaluations: int) -> None:
@@ -119,7 +119,7 @@ class _RunProgress(_Progress):
         self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
 
     def at_warning(self, line: str) -> None:
-        """Print what the user should know at once."""
+        """Print a warning."""
         self.say(f"{self.name}: {line}")
 
     def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
@@ -149,7 +149,7 @@ def run_progress(
 
 @contextmanager
 def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
-    """Show stage, energy and evaluations of what usually takes so many of them."""
+    """Show stage, energy and evaluations of a run of a typical length."""
     progress = _RunProgress(name, typical, 3 * typical)
     with progress.bar:
         yield progress
@@ -157,7 +157,7 @@ def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
 
 @contextmanager
 def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["Watcher"]:
-    """Show time, temperature, nanoseconds a day and the time left of a simulation."""
+    """Show time, temperature, ns/day and remaining time of a simulation."""
     progress = _Progress(name, n_steps, n_steps)
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
@@ -173,14 +173,14 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
 
 
 def typical_evaluations(method: "str | Recipe", max_evaluations: int) -> int:
-    """Number of evaluations that a method usually takes; those allowed where that is not known."""
+    """Typical number of evaluations of a method, or the limit if unknown."""
     from protochain.minimisers.recipes import recipe_of
 
     return min(recipe_of(method).typical or max_evaluations, max_evaluations)
 
 
 def print_outlook(source: object, structure: "Structure", method: "str | Recipe") -> bool:
-    """Say on standard error what is wrong with a start and what will be done; return whether anything is."""
+    """Print the problems of a start and their treatment on standard error. Return whether there are any."""
     from protochain.minimisers.recipes import recipe_of
     from protochain.minimisers.start_warnings import describe_start
 
@@ -190,13 +190,13 @@ def print_outlook(source: object, structure: "Structure", method: "str | Recipe"
 
 
 TROUBLED = 3
-"""Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
+"""Factor of the usual evaluations for starts with overlaps or violations, such as predicted models."""
 
 
 def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, limit: int) -> None:
-    """Say before a long run how long it will be."""
+    """Report the expected time before a long run."""
     x = chain.structure.positions
-    # The first call loads kernels and makes neighbour lists. The quickest counts: others may wait for a core.
+    # The first call loads kernels and builds neighbour lists. The quickest is used, as others may wait.
     energy(x)
     seconds = math.inf
     for _ in range(2):
@@ -214,7 +214,7 @@ def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int,
 
 
 def _clock(seconds: float) -> str:
-    """Seconds, minutes or hours in words."""
+    """Text of a time, in seconds, minutes or hours."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
@@ -222,7 +222,7 @@ def _clock(seconds: float) -> str:
 
 @contextmanager
 def frames_progress(name: str, total: int) -> Iterator["Watch"]:
-    """Show how many frames are done, and the time left; the first that cannot be used, by name."""
+    """Show the number of finished frames and the remaining time. List the first unusable frames."""
     progress, lines = _Progress(name, total, total), list[str]()
 
     def watch(n_done: int, failed: int, last: "FrameResult") -> None:
@@ -237,7 +237,7 @@ def frames_progress(name: str, total: int) -> Iterator["Watch"]:
 
 @contextmanager
 def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
-    """Show how many of all are done, and the time left."""
+    """Show the number of finished jobs and the remaining time."""
     progress = _Progress(name, 100, 100)
     with progress.bar:
         yield lambda n_done, total: progress.show(100.0 * n_done / total, f"{n_done} of {total}")
@@ -245,7 +245,7 @@ def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
 
 @contextmanager
 def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
-    """Show the lowest energy, the acceptance, evaluations and the time left of a search."""
+    """Show lowest energy, acceptance, evaluations and remaining time of a search."""
     progress = _Progress(name, 100, 100)
 
     def watch(so_far: "SearchProgress") -> None:
@@ -281,7 +281,7 @@ def print_search(result: "Search", output: object) -> None:
 
 @contextmanager
 def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
-    """Show a line for each structure; on a terminal also a bar with done, failed, rate and the time left."""
+    """Show a line for each structure, and on a terminal a bar with counts, rate and remaining time."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = printer(stderr=True)
@@ -305,7 +305,7 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
 
 
 def _distance(angstrom: float | None) -> str:
-    """A distance; of nucleic acids alone there is none of C-alphas."""
+    """Text of a distance. Nucleic acids without protein have no C-alpha distance."""
     return "-" if angstrom is None else f"{angstrom:.2f}"
 
 
@@ -331,7 +331,7 @@ def print_simulation(record: dict[str, Any]) -> None:
 
 
 def _pull_line(record: dict[str, Any]) -> str:
-    """Line on what was pulled, if anything was."""
+    """Line about pulling, if any."""
     if record.get("pull") is None:
         return ""
     return (
@@ -353,7 +353,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     headings = [f"{c.short or c.heading} {c.unit}".strip() for c in columns_shown]
     columns = [list(cells) for cells in zip(headings, *rows, strict=True)]
     if sum(max(map(len, column)) + 1 for column in columns) > max(_WIDTH, console.width):
-        # Headings wrap at blanks and numbers not at all; a name of one's own may be long, and wraps anywhere.
+        # Headings wrap at blanks, numbers do not. Names of methods may be long, and wrap anywhere.
         headings = [heading.replace("/mol/", "/mol /") for heading in headings]
         columns = [[*heading.split(), *cells[1:]] for heading, cells in zip(headings, columns, strict=True)]
     widths = [max(map(len, column)) for column in columns]
@@ -364,7 +364,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
         table.add_column(heading, min_width=width, max_width=width, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # In less room than the numbers take rich would cut the last ones off.
+    # On narrow terminals, rich would cut off numbers.
     if prints(Kind.RESULT):
         console.print(table, crop=False)
     if any(OVERLAPPING.startswith(cell) for row in rows for cell in row if cell.startswith(">")):
@@ -380,7 +380,7 @@ def _cell(column: "Column", value: Any) -> str:
 
 
 def print_timings(record: dict[str, Any]) -> None:
-    """Print seconds by part and their sum, and what share of the loop is serial."""
+    """Print seconds by part, their sum, and the serial share of the loop."""
     parts = {name: seconds for name, seconds in record["timings"].items() if name in PARTS}
     total = sum(parts.values())
     for name, seconds in {**parts, "all": total}.items():
@@ -390,7 +390,7 @@ def print_timings(record: dict[str, Any]) -> None:
 
 
 def print_written(record: dict[str, Any]) -> None:
-    """Print what remains in a result, its file, and how far it lies from its start."""
+    """Print the remaining violations of a result, its file, and its RMSD to the start."""
     from protochain.validation.findings import remains_in_words
 
     print_violations(record)
@@ -408,13 +408,13 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
 
 
 def count_violations(usable: "DataFrame") -> str:
-    """Violations of relaxed structures before and after, in words."""
+    """Violations of relaxed structures before and after, as text."""
     before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
     return f"residues with violations {before} before, {after} after"
 
 
 def ligands_moved(usable: "DataFrame") -> str:
-    """How far ligands of structures moved, in words; empty if there are none."""
+    """Displacements of ligands, as text. Empty without ligands."""
     rmsd, farthest = (usable.get(f"ligand_{name}_angstrom") for name in ("rmsd", "displacement_max"))
     if rmsd is None or farthest is None or not rmsd.notna().any():
         return ""
@@ -425,7 +425,7 @@ def ligands_moved(usable: "DataFrame") -> str:
 
 
 def print_batch(table: "DataFrame", report: str) -> None:
-    """Print the number of runs of each status for each method, failures, and what is left to mend."""
+    """Print the number of each status for each method, failures, and unconverged relaxations."""
     from protochain.relaxation.record import METHOD as RELAX
 
     console = printer()

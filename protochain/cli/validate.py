@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from protochain.validation import Validation
 
 _LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
-"""What JSON has of a structure, and a table of many cannot."""
+"""Entries of the JSON of a structure that are not in tables."""
 _SHOWN = 10
-"""Residues listed of each structure; the tables have all."""
+"""Listed residues of each structure. The tables have all."""
 
 
 @with_settings(
@@ -85,7 +85,7 @@ def validate(
     notes: dict[str, list[str]] = {}
     of_residues: list[DataFrame] = []
     changed: list[DataFrame] = []
-    # Structures are not kept: there may be thousands.
+    # Structures are not stored, as there may be thousands.
     for name, result in _validate_files(files, compared, posebusters):
         if isinstance(result, ProtochainError):
             rows.append(refusal_row(result, file=name))
@@ -114,7 +114,7 @@ def _changes(reference: Path | None, result: "Validation") -> "Differences":
 
 
 def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
-    """What JSON has of a structure; the lists in it are not in its table."""
+    """JSON of a structure. Its lists are not in the table."""
     row = {
         **result.record(), "added": result.added, "findings": result.listing(), "message": "",
         "ligands": [ligand.record() for ligand in result.ligands],
@@ -128,7 +128,7 @@ def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
 def _validate_files(
     files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None", posebusters: bool
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
-    """Name and validation of each structure, or why there is none."""
+    """Yield the name and the validation of each structure, or the error."""
     from protochain.validation import validate
 
     for name, path, file_setup in files:
@@ -140,7 +140,7 @@ def _validate_files(
 
 
 def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
-    """Print the numbers of all structures, then the ligands and the residues concerned in words."""
+    """Print the numbers of all structures, then ligands and residues as text."""
     from protochain.validation import LIKENESS, MEASURES
 
     tables = [{key: measure.heading for key, measure in MEASURES.items() if measure.heading}]
