@@ -191,7 +191,7 @@ def _about(
     system, tree, k = model.system, model.tree, near.ways.shape[1]
     still = np.zeros(tree.n_v)
 
-    def force(move: Floats, rate: Floats, push: Floats = still) -> Floats:
+    def respond(move: Floats, rate: Floats, push: Floats = still) -> Floats:
         q, qd, factors, _ = near.place(move, rate)
         _, torque, loads = system.forces(near.at.time, q, qd, factors)
         qdd = system.accelerations(near.at.time, q, qd, torque + push, loads, factors)[0]
