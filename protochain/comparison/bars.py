@@ -16,9 +16,9 @@ _SHOWN = {
     "time_ps": "{:.2f} ps",
     "temperature_k": "{:.0f} K",
 }
-"""Values shown beside the bar, where a row has them; where hinges turn the force is nan, else the torque."""
+"""Values shown next to the bar, if present. The force is nan in runs in torsions, else the torque is."""
 _EVERY = 0.1
-"""s between two that are shown."""
+"""s between updates of the bar."""
 
 
 @checked(total=optional(at_least(1)))
@@ -30,7 +30,7 @@ def progress(title: str = "", *, total: int | None = None) -> Watcher:
     title : str
         Name of the bar. With ``compare(..., watch=pc.progress)``, each run has a bar named after its method.
     total : int, optional
-        Steps or evaluations that are expected, as ``n_steps`` of a simulation: the time left is shown, too.
+        Expected steps or evaluations, such as ``n_steps`` of a simulation. Also shows the remaining time.
 
     Returns
     -------
@@ -55,7 +55,7 @@ class _Bar:
         from rich.progress import Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.table import Column
 
-        # A notebook shows what a terminal is sent, too, if that is one line without colours.
+        # A notebook shows the terminal output, too, if it is one line without colours.
         console = Console(stderr=True, force_terminal=True, force_jupyter=False, color_system=None)
         text = "{task.description}{task.completed:.0f} {task.fields[unit]}{task.fields[now]}"
         line = TextColumn(text, markup=False, table_column=Column(no_wrap=True))

@@ -1,4 +1,4 @@
-"""What colours the residues of a page: the energy by residue and term, and the B factors of the input."""
+"""Colourings of the residues of a page: energies by residue and term, and B factors of the input."""
 
 from collections.abc import Iterator, Mapping
 
@@ -13,14 +13,14 @@ from protochain.results.viewer import Colouring
 from protochain.structure import Structure
 
 OF_INPUT = "B factor or confidence of the input"
-"""What the file has in its column of B factors; predictors put their confidence there."""
+"""The column of B factors of the file, in which predictors write their confidence."""
 
 
 def colourings(
     ends: Mapping[str, Structure], energy: Energy, changes: Mapping[str, Differences] | None = None
 ) -> list[Colouring]:
-    """Colourings of a start and what came of it, by name, with all terms of their energy that are not 0."""
-    # Of a callable, and of a System that the native engine cannot compute, there are none of the energy.
+    """Colourings of a start and its ends, by name, with all energy terms that are not 0."""
+    # Energies need the native engine: callables, and some Systems of OpenMM, have none.
     start = next(iter(ends.values()))
     native = native_of(energy)
     result = list[Colouring]()
@@ -36,7 +36,7 @@ def colourings(
 
 
 def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
-    """Total and terms of energies by residue, (terms, nr) each, and how the total changed from the first."""
+    """Colourings by the total, its change from the first, and terms of energies by residue, (terms, nr)."""
     totals = {name: values.sum(axis=0) for name, values in shares.items()}
     yield Colouring("energy, kJ/mol", totals, is_signed=True)
     (_, start), *other_totals = totals.items()
@@ -51,7 +51,7 @@ def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
 
 
 def _of_residues(structure: Structure, changes: Differences, column: str) -> Floats:
-    """(nr,) float: column of what changed, for all residues of its first structure; NaN of others."""
+    """(nr,) float: column of the changes for all residues of the first structure, NaN if missing."""
     table = changes.residues
     values = dict(zip(zip(table["chain"], table["residue"], strict=True), table[column], strict=True))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
@@ -60,6 +60,6 @@ def _of_residues(structure: Structure, changes: Differences, column: str) -> Flo
 
 
 def _mean_b_factor(structure: Structure) -> Floats:
-    """Mean of the heavy atoms of each residue; NaN of one without any."""
+    """Mean over the heavy atoms of each residue, NaN without any."""
     heavy = structure.atom_element != "H"
     return means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)

@@ -1,4 +1,4 @@
-"""``compare``: several methods from one prepared start, judged by the same rules."""
+"""``compare``: several methods from one prepared start, with ends judged by the same rules."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from protochain.structure.matching import match
 SETTINGS = tuple(
     f.name for f in fields(MinimiseSettings) if f.name not in ("tolerance", "restraint", "max_rmsd")
 )
-"""Of a minimisation, those that a comparison has too: what holds a run to its start is for one run."""
+"""Settings of a minimisation that a comparison has too, without restraints to the start."""
 
 
 @checked(methods=several, repeats=at_least(1), watch=function("method"))
@@ -43,29 +43,29 @@ def compare(
 
     Parameters
     ----------
-    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         The common start.
     methods : str, or sequence of str, Recipe, or object with ``init`` and ``step``
         As in :func:`protochain.minimise`.
     energy : Energy or callable, optional
-        As in :func:`protochain.minimise`; one energy function serves all methods.
+        As in :func:`protochain.minimise`. All methods share one energy function.
     tolerance : float
         As in :func:`protochain.minimise`.
     repeats : int
         Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
-        threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
-    reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
+        threads), with consecutive seeds. The first is shown, and ``Comparison.spread`` covers all.
+    reference : Structure, path, or anything that :func:`protochain.as_structure` accepts, optional
         Structure to measure the ends against, for example an experimental one.
     watch : callable, optional
-        Given a method's name, returns the ``watch`` of its run.
+        Function of a method's name that returns the ``watch`` of its run.
     **settings
         As in :func:`protochain.minimise`: ``max_evaluations``, ``seed``, ``curvature``, ``judge``.
 
     Returns
     -------
     Comparison
-        Every end judged by the same judge in double precision. An interrupt ends the current
-        run and leaves out the rest.
+        Solutions, with all ends judged by the same judge in double precision. An interrupt ends the
+        current run and skips the remaining runs.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def compare(
     chain, energy = with_energy(structure, energy)
     reference_structure = None if reference is None else as_structure(reference)
     if reference_structure is not None:
-        match(reference_structure, chain.structure)  # What cannot be measured is said before the work.
+        match(reference_structure, chain.structure)  # Raises before the work if nothing matches.
     for run in runs:
         run.recipe.check(energy)
     start = Start(chain, energy, runs[0].judge)

@@ -40,7 +40,7 @@ from protochain.validation.ramachandran import ramachandran
 _PACKAGES = ("openmm", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools", "pandas")
 
 _LEAST_OF_TM = 30
-"""Residues below which a TM-score says little: its scale is made for longer chains."""
+"""Fewest residues for a TM-score, whose scale is meant for longer chains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class Comparison:
     structure : Structure
         The common start.
     solutions : tuple of Solution
-        One per method, all of one energy function: shown in tables, plots and files.
+        One per method, all with the same energy function, for tables, plots and files.
     origin : mapping
         Facts about the input (path, seconds of preparation), added to every record.
     reference : Structure, optional
-        Structure to measure the ends against, for example an experimental one; its sequence may differ.
+        Structure to measure the ends against, for example an experimental one. Its sequence may differ.
     repeats : tuple of Solution
         Further runs of the methods that do not repeat exactly.
 
@@ -92,18 +92,18 @@ class Comparison:
         return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
 
     def records(self) -> list[dict[str, Any]]:
-        """JSON record of each solution, with its origin and the name of its file; none where it has none."""
+        """JSON record of each solution, with its origin and the name of its file, or None."""
         return [
             {**s.record(), **self.origin, "message": self.message(s), "output": self.file_of(s)}
             for s in self.solutions
         ]
 
     def file_of(self, solution: Solution) -> str | None:
-        """Name of a solution's file; None if nothing is better than the start, which has its own."""
+        """Name of a solution's file, or None if its end is not better than the start."""
         return f"{self.structure.name}.{solution.method}{self.suffix}" if solution.is_usable else None
 
     def message(self, solution: Solution) -> str:
-        """Message of a solution, and whether it has no file."""
+        """Message of a solution, with a note if it has no file."""
         none = "; nothing is better than the start: no structure is written"
         return solution.message + ("" if solution.is_usable else none)
 
@@ -151,7 +151,7 @@ class Comparison:
 
     @cached_property
     def differences(self) -> dict[str, Differences]:
-        """What each method changed: :func:`protochain.differences` of the start and each end."""
+        """Changes by each method: :func:`protochain.differences` of the start and each end."""
         return of_ends(self.ends())
 
     @cached_property
@@ -161,7 +161,7 @@ class Comparison:
 
     @cached_property
     def work(self) -> pd.DataFrame:
-        """Cost to come within 100, 10 and 1 kJ/mol of the lowest end with the same degrees of freedom."""
+        """Cost to reach 100, 10 and 1 kJ/mol above the lowest end with the same degrees of freedom."""
         lowest = {
             s.method: min(
                 solution.end.energy
@@ -174,19 +174,19 @@ class Comparison:
 
     @cached_property
     def spread(self) -> pd.DataFrame:
-        """Spread of the runs of each method; a method that repeats exactly has one run."""
+        """Spread of the runs of each method. A method that repeats exactly has one run."""
         return spreads(self.solutions, self.repeats)
 
     def view(self) -> View:
-        """Interactive view of start and ends, superposed, for notebooks; no server is contacted."""
+        """Interactive view of the superposed start and ends, for notebooks, without any server."""
         return View(self.ends())
 
     def ends(self) -> dict[str, Structure]:
-        """Start and end structures, by ``start`` and method."""
+        """Structures of the start and the ends, with keys ``start`` and the methods."""
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
     def plot_energy(self, ax: Any = None) -> Figure:
-        """Energy against evaluations and seconds; ``ax``: Axes to draw in, as many as panels, or one."""
+        """Energy against evaluations and seconds. ``ax``: Axes to draw in, one for each panel, or one."""
         return plots.plot_energy(self.traces, self.structure.name, ax)
 
     def plot_work_precision(self, ax: Any = None) -> Figure:
@@ -198,7 +198,7 @@ class Comparison:
         return plots.plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
 
     def plot_torque(self, ax: Any = None) -> Figure:
-        """Largest torque against evaluations and seconds, of runs in torsions."""
+        """Largest torque against evaluations and seconds, for runs in torsions."""
         return plots.plot_torque(self.traces, self.structure.name, ax)
 
     def plot_rmsd(self, ax: Any = None) -> Figure:
@@ -210,7 +210,7 @@ class Comparison:
         return plots.plot_displacement(self.displacements, self.structure.name, ax)
 
     def plot_differences(self, ax: Any = None) -> Figure:
-        """Change of each residue's torsions, and how far its C-alpha moved, one line per method."""
+        """Change of each residue's torsions, and displacement of its C-alpha, one line per method."""
         changes = {name: difference.residues for name, difference in self.differences.items()}
         return plots.plot_differences(changes, self.structure.name, ax)
 
@@ -247,7 +247,7 @@ class Comparison:
         Parameters
         ----------
         directory : path-like
-            Created if needed; the files of an earlier comparison there are deleted first.
+            Created if needed. The files of an earlier comparison there are deleted first.
 
         Returns
         -------
@@ -267,12 +267,12 @@ class Comparison:
             ) from error
 
     def write_page(self, path: Path) -> None:
-        """Write the page alone, one HTML file, as for a run by itself."""
+        """Write only the page, one HTML file, as for a single run."""
         write_text(path, _page(self, self.summary(), _figures(self)))
 
     @cached_property
     def suffix(self) -> str:
-        """File suffix: PDB if it can hold all structures, otherwise mmCIF."""
+        """File suffix: PDB if it can represent all structures, otherwise mmCIF."""
         return common_suffix(self.ends().values())
 
     def __repr__(self) -> str:
@@ -303,7 +303,7 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "residue_differences": concatenate(comparison.differences, "residues"),
         "bonds_changed": concatenate(comparison.differences, "bonds"),
     }
-    # First, since it names the structures: what an incomplete comparison left can be replaced, too.
+    # First, since it names the structures: files of an incomplete comparison can be replaced, too.
     write_text(directory / "summary.json", json_text(summary))
     for stem, table in tables.items():
         write_text(directory / f"{stem}.csv", table.to_csv(index=False))
@@ -369,5 +369,5 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
 
 
 def _with_unit(table: pd.DataFrame, first: int, unit: str) -> pd.DataFrame:
-    """Table whose columns of methods, from this one on, have the unit in their names."""
+    """Table with the unit appended to the names of its columns of methods, from ``first`` on."""
     return table.rename(columns={name: f"{name}_{unit}" for name in table.columns[first:]})

@@ -28,10 +28,10 @@ ALPHA = "name CA"
 class Deviation:
     """Deviation of a model from a reference, in angstrom."""
 
-    rmsd: float  # Of the measured atoms, after superposition on the aligned ones.
-    rmsd_unsuperposed: float  # Of the same atoms, without superposition.
-    # Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang, Skolnick,
-    # Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
+    rmsd: float  # RMSD of the measured atoms, after superposition of the aligned atoms.
+    rmsd_unsuperposed: float  # RMSD of the same atoms, without superposition.
+    # TM-score of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang,
+    # Skolnick, Nucleic Acids Res. 33:2302, 2005), NaN below three residues.
     tm_score: float
     n_aligned: int  # n_aligned, n_measured: Numbers of atoms.
     n_measured: int
@@ -62,16 +62,16 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
 
     Parameters
     ----------
-    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Their sequences may differ, but must be related. A file may hold only C-alpha atoms.
+    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
+        Their sequences may differ, but must be related. A file may contain only C-alpha atoms.
     align, measure : str
-        Selections of the reference's atoms: those superposed, and those whose RMSD is measured. Atoms are
-        matched by name within matched residues.
+        Selections of the reference's atoms: for the superposition, and for the RMSD. Atoms are matched by
+        name within matched residues.
 
     Returns
     -------
     Deviation
-        RMSD with and without superposition, TM-score, and the residues matched.
+        RMSD with and without superposition, TM-score, and the matched residues.
 
     Raises
     ------
@@ -99,22 +99,22 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
 
 
 def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = None) -> float:
-    """RMSD of one structure from another after superposition; their sequences may differ.
+    """RMSD of one structure from another after superposition. Their sequences may differ.
 
     Parameters
     ----------
-    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Residues are matched by chain, number and name if all agree, otherwise by sequence alignment; of equal
-        chains, as of a homomer, those that give the least RMSD. A file may hold only C-alpha atoms.
+    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
+        Residues are matched by chain, number and name if all agree, otherwise by sequence alignment. Equal
+        chains of a homomer are matched by the least RMSD. A file may contain only C-alpha atoms.
     align, measure : str
-        Selections of the reference's atoms in the language of MDAnalysis: those superposed, and those whose
-        RMSD is measured, by default the same.
+        Selections of the reference's atoms in the language of MDAnalysis: for the superposition, and for the
+        RMSD, by default the same.
 
     Returns
     -------
     float, angstrom
-        By Kabsch's rotation (Acta Cryst. A32:922, 1976). :func:`protochain.deviation` tells the TM-score too,
-        and what was matched.
+        By Kabsch's rotation (Acta Cryst. A32:922, 1976). :func:`protochain.deviation` also returns the
+        TM-score and the matched residues.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
 def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
 ) -> "pd.DataFrame":
-    """Measure many files against one: one row per model of each file, failures included."""
+    """Measure many files against a reference: one row per model of each file, failures included."""
     import pandas as pd
 
     first = measurable(reference)
@@ -152,11 +152,11 @@ def rmsd_table(
 
 
 DOCKING = ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom", "hotspot_rmsd_angstrom")
-"""Columns of :func:`docked`."""
+"""Columns of :func:`docking_rmsds`."""
 
 
 def docking_rmsds(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float]:
-    """C-alpha RMSD of either side of a complex, superposed by itself, and of the second with the first."""
+    """C-alpha RMSD of each side of a complex, each superposed, and of the second superposed by the first."""
     matches, pairs = match(reference, model), list[tuple[Floats, Floats]]()
     for side in sides(reference, first, second):
         atoms_of_side = np.flatnonzero(side[reference.atom_residue])
@@ -186,11 +186,11 @@ class RmsdFrames:
     at_a_time = 8
 
     def begin(self, structure: Structure, threads: int | None) -> Callable[[Structure], Any]:
-        """What is done to a frame."""
+        """Return the function of a frame."""
         return lambda frame: (deviation(self.reference, frame, self.align, self.measure).record(), None)
 
     def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
+        """Plain values that determine the rows."""
         content = hashlib.sha256(self.reference.positions.tobytes()).hexdigest()[:12]
         return {
             "reference": self.reference.name, "content of the reference": content,

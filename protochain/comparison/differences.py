@@ -1,4 +1,4 @@
-"""What changed between two structures: torsions, rotamers, hydrogen bonds, salt bridges, contacts, RMSDs."""
+"""Differences of two structures: torsions, rotamers, hydrogen bonds, salt bridges, contacts, RMSDs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CHIS = ("chi1", "chi2", "chi3", "chi4")
 TORSIONS = ("phi", "psi", "omega", *CHIS)
 _FLIPS = {("ASP", 1), ("GLU", 2), ("PHE", 1), ("TYR", 1)}
-"""Residues and last dihedrals (from 0) whose half turns only exchange names."""
+"""Residues and last dihedrals (from 0) whose half turns only exchange atom names."""
 _CONTACT, _APART = 4.5, 4
 """Angstrom between heavy atoms of residues in contact, and least distance along the chain."""
 _RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
@@ -35,7 +35,7 @@ _RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
 
 @dataclass(frozen=True, eq=False)
 class Differences(Value):
-    """What changed from one structure to another.
+    """Changes from one structure to another.
 
     Parameters
     ----------
@@ -46,14 +46,14 @@ class Differences(Value):
         ``torsions_degrees`` (root mean square over these), ``rotamer_before``, ``rotamer_after``,
         ``ca_moved_angstrom`` after superposition of all C-alphas.
     bonds : pandas.DataFrame
-        Hydrogen bonds and salt bridges that only one has: ``kind``, ``change`` (gained or lost), ``first``
-        and ``second``: atoms of donor and acceptor, or residues of cation and anion.
+        Hydrogen bonds and salt bridges of only one structure: ``kind``, ``change`` (gained or lost),
+        ``first`` and ``second``: atoms of donor and acceptor, or residues of cation and anion.
     totals : mapping of str to int or float
-        ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same of
-        ``salt_bridges``, ``contacts_kept`` (Q: of the contacts of the first, the share that the second has),
-        ``ca_rmsd_angstrom``; of each chain, of helices, strands and loops, and of each rigid domain, each
-        superposed by itself, ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on; ``rigid_domains``,
-        and of the second on ``turn_degrees_domain_2``, the angle of its motion against that of the first.
+        ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same for
+        ``salt_bridges``, ``contacts_kept`` (Q: share of the first structure's contacts in the second), and
+        ``ca_rmsd_angstrom``. Chains, helices, strands, loops and rigid domains are superposed separately for
+        ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on. ``rigid_domains`` is their number.
+        ``turn_degrees_domain_2`` and so on are the angles of their motions relative to the first domain.
 
     Examples
     --------
@@ -75,14 +75,14 @@ class Differences(Value):
         )
 
     def plot(self) -> "Figure":
-        """Changes of backbone and side chains along the sequence, over how far the C-alphas moved."""
+        """Plot changes of backbone and side chains, and displacements of C-alphas, along the sequence."""
         from protochain.comparison.plots import plot_differences
 
         return plot_differences({"": self.residues})
 
 
 def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
-    """Differences of ends from a start, the first of them; none where no residue is an amino acid."""
+    """Differences of ends from a start, the first of them. Empty without amino acids."""
     (_, start), *other_ends = ends.items()
     if not layout(start).amino.any():
         return {}
@@ -90,7 +90,7 @@ def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
 
 
 def totals_of(changes: Mapping[str, Differences]) -> pd.DataFrame:
-    """Totals of several differences: a column each behind ``quantity``, which says them in words."""
+    """Totals of several differences: a column for each after ``quantity``, the name in words."""
     keys = dict.fromkeys(key for difference in changes.values() for key in difference.totals)
     rows = [
         {
@@ -103,7 +103,7 @@ def totals_of(changes: Mapping[str, Differences]) -> pd.DataFrame:
 
 
 def _in_words(key: str) -> str:
-    """``ca_rmsd_angstrom_helix`` is ``C-alpha RMSD of helix, angstrom``."""
+    """Name in words: ``ca_rmsd_angstrom_helix`` is ``C-alpha RMSD of helix, angstrom``."""
     for quantity in (_RMSD, _TURN):
         part = key.removeprefix(f"{quantity}_")
         if part != key:
@@ -115,7 +115,7 @@ def _in_words(key: str) -> str:
 
 
 def concatenate(changes: Mapping[str, Differences], table: str) -> pd.DataFrame:
-    """One table, ``residues`` or ``bonds``, of several differences, the name of each in ``method``."""
+    """Concatenate a table, ``residues`` or ``bonds``, of several differences, with names in ``method``."""
     parts = [getattr(difference, table) for difference in changes.values()]
     if not parts:
         return pd.DataFrame(columns=["method"])
@@ -123,17 +123,17 @@ def concatenate(changes: Mapping[str, Differences], table: str) -> pd.DataFrame:
 
 
 def differences(before: Any, after: Any) -> Differences:
-    """Tell what changed between two structures.
+    """Compare two structures.
 
     Parameters
     ----------
-    before, after : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Residues are matched as by :func:`protochain.rmsd`; sequences may differ.
+    before, after : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
+        Residues are matched as by :func:`protochain.rmsd`. Sequences may differ.
 
     Returns
     -------
     Differences
-        A row for each residue, the bonds gained and lost, and totals.
+        A row for each residue, gained and lost bonds, and totals.
 
     Raises
     ------
@@ -143,10 +143,10 @@ def differences(before: Any, after: Any) -> Differences:
     Notes
     -----
     A hydrogen bond is a donor, its hydrogen and an acceptor by Baker and Hubbard's criterion, as in
-    :func:`protochain.quality`: the count of the second structure is that of the first, less those lost, and
-    those gained, if all residues correspond. Secondary structure is by mdtraj's DSSP. A half turn
-    of the last dihedral of Asp, Glu, Phe and Tyr is none. A rigid domain has 20 C-alphas or more, each within
-    2 angstrom of where one motion takes it: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
+    :func:`protochain.quality`. If all residues correspond, the second count equals the first count minus
+    lost plus gained bonds. Secondary structure is by mdtraj's DSSP. Half turns of the last dihedral of Asp,
+    Glu, Phe and Tyr do not count. A rigid domain has 20 C-alphas or more that follow one motion within
+    2 angstrom: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
     :mod:`protochain.comparison.domains`.
 
     Examples
@@ -200,7 +200,7 @@ def differences(before: Any, after: Any) -> Differences:
 
 
 def _turn_angles(first: Structure, second: Structure, matches: Match) -> Floats:
-    """(n, 7) float, degrees from -180 to 180: changes of ``TORSIONS``; NaN where either has none."""
+    """(n, 7) float, degrees from -180 to 180: changes of ``TORSIONS``, NaN if one is missing."""
     angles = []
     for s, indices in ((first, matches.reference), (second, matches.model)):
         backbone = np.column_stack(peptides(s, s.positions))
@@ -215,7 +215,7 @@ def _turn_angles(first: Structure, second: Structure, matches: Match) -> Floats:
 
 
 def _chis(s: Structure) -> Floats:
-    """(nr, 4) float, degrees."""
+    """(nr, 4) float, degrees: chi angles, NaN if missing."""
     atoms, angles = layout(s), np.full((s.n_residues, len(CHIS)), np.nan)
     for name, quadruples in CHI.items():
         residues = np.flatnonzero((s.residue_name == name) & atoms.amino)
@@ -230,7 +230,7 @@ def _root_mean_square(off: Floats) -> Floats:
 
 
 def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
-    """Rotamer of each residue, empty where there is none or it is far from all."""
+    """Rotamer of each residue, empty without rotamers or far from all."""
     sides = side_chains(s)
     names = np.zeros(s.n_residues, dtype="U8")
     near = ~np.isin(sides.residue, sides.outliers)
@@ -239,7 +239,7 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
 
 
 def _bonds(first: Structure, second: Structure, matches: Match) -> tuple[pd.DataFrame, dict[str, int]]:
-    """Hydrogen bonds and salt bridges that one of the two has alone, and how many."""
+    """Hydrogen bonds and salt bridges of only one structure, and their counts."""
     rows, counts = list[dict[str, str]](), dict[str, int]()
     places = _places(first, second, matches)
     for kind, bonds in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
@@ -260,10 +260,10 @@ def _bonds(first: Structure, second: Structure, matches: Match) -> tuple[pd.Data
 
 
 def _places(first: Structure, second: Structure, matches: Match) -> tuple[Integers, Integers]:
-    """Residues of the first that correspond to those of the first (nr,) and the second (ns,), or ``NONE``."""
+    """Residues of the first for each residue of the first (nr,) and the second (ns,), or ``NONE``."""
     first_places, second_places = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
     first_places[matches.reference] = second_places[matches.model] = matches.reference
-    # Alignments have amino acids alone: caps, ligands and nucleotides correspond by their names in files.
+    # Alignments have only amino acids: caps, ligands and nucleotides are matched by their names in files.
     unplaced = {first.residue(r): r for r in np.flatnonzero(first_places == NONE).tolist()}
     for r in np.flatnonzero(second_places == NONE).tolist():
         if (place := unplaced.pop(second.residue(r), NONE)) != NONE:
@@ -279,12 +279,12 @@ def _hydrogen_bonds(s: Structure) -> set[tuple[Any, ...]]:
 
 
 def _end(s: Structure, residue: int, name: list[Any]) -> str:
-    """An atom of a residue, or the residue if no name is there."""
+    """An atom of a residue, or the residue without a name."""
     return str(Atom(name[0], s.residue(residue)) if name else s.residue(residue))
 
 
 def _contacts_kept(first: Structure, second: Structure, matches: Match) -> float:
-    """Share of the contacts between residues of the first that the second has; NaN if it has none."""
+    """Share of the first structure's residue contacts in the second, NaN without contacts."""
     place = np.full(second.n_residues, NONE)
     place[matches.model] = matches.reference
     matched = {*matches.reference.tolist()}

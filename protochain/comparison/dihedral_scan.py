@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ENERGY = "energy_kj_mol"
 _MOST = 60.0
-"""kJ/mol above the lowest at which the map ends."""
+"""kJ/mol above the lowest: upper limit of the map."""
 
 
 @checked(relax=flag, watch=function("done", "total"))
@@ -32,22 +32,22 @@ def scan(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        Whose hinges turn; each point starts from its input pose.
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
+        Chain whose hinges turn. Each point starts from its input pose.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     grids : mapping of str to sequence of float, degrees
-        Values of each hinge by its name, as ``{"phi A:3": range(-180, 180, 10)}``; all combinations are
-        points.
+        Values of each hinge by its name, as ``{"phi A:3": range(-180, 180, 10)}``. All combinations are
+        computed.
     relax : bool
         Whether all other hinges are minimised at each point, by ``lbfgs``.
     watch : callable, optional
-        Called after each point with how many are done, and of how many.
+        Called after each point with the number of computed points, and of all points.
 
     Returns
     -------
     pandas.DataFrame
-        A row a point: a column a hinge, ``energy_kj_mol``, and with ``relax`` ``status``.
+        A row for each point: a column for each hinge, ``energy_kj_mol``, and with ``relax`` ``status``.
 
     Raises
     ------

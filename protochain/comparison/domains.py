@@ -1,8 +1,8 @@
-"""Rigid domains: parts of a chain that one rigid motion takes from one structure to another.
+"""Rigid domains: parts of a chain that move as rigid bodies between two structures.
 
-Adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997): a few neighbours are superposed, all that then
-lie within a tolerance are taken in, and so on until nothing changes; of the domains that grow so from
-different places the largest is kept, and the next is sought in what is left.
+Adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997): a few neighbours are superposed, all residues
+within a tolerance are added, and this is repeated until nothing changes. Domains grow from different seeds.
+The largest is selected, and the search continues with the remaining residues.
 """
 
 from typing import NamedTuple
@@ -14,21 +14,21 @@ from protochain.core.arrays import Floats, Integers
 from protochain.structure.superpose import motion, rmsd
 
 TOLERANCE = 0.2
-"""nm from where a domain's motion takes a residue."""
+"""nm. Largest distance of a residue from its position by the domain's motion."""
 LEAST = 20
-"""Residues of a domain, and neighbours from which one grows."""
+"""Fewest residues of a domain, and number of neighbours from which it grows."""
 _SEEDS = 100
-"""Places, evenly along the sequence, from which domains grow."""
+"""Number of seeds, evenly along the sequence, from which domains grow."""
 _MOST_STEPS = 50
-"""Superpositions of one growth, which may go to and fro at last."""
+"""Limit of superpositions of one growth, which may alternate at its end."""
 
 
 class Domain(NamedTuple):
     """A part that moves as a rigid body."""
 
-    members: Integers  # (n,) int: Points of it.
-    rmsd: float  # Of its points, superposed by themselves, in their unit.
-    turn: float  # degrees: Of its motion against that of the largest domain.
+    members: Integers  # (n,) int: Indices of its points.
+    rmsd: float  # RMSD of its points, superposed separately, in their unit.
+    turn: float  # degrees: Angle of its motion relative to the largest domain's.
 
 
 def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
@@ -55,7 +55,7 @@ def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
 
 
 def _largest(x: Floats, y: Floats, left: Integers) -> Integers:
-    """Largest domain of the points that are left, grown from all of them or from neighbours."""
+    """Largest domain of the remaining points, grown from all of them or from neighbours."""
     best = _grow(x, y, left, left)
     if len(best) == len(left):
         return best
@@ -78,6 +78,6 @@ def _grow(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
 
 
 def _away(x: Floats, y: Floats, move: tuple[Floats, Floats]) -> Floats:
-    """Distance (n,) of each point of y from where a motion takes that of x."""
+    """Distance (n,) of each point of y from the moved point of x."""
     turn, shift = move
     return np.asarray(np.linalg.norm(x @ turn.T + shift - y, axis=1))

@@ -1,4 +1,4 @@
-"""Page of the energy of one structure: by term, by residue, and its residues coloured by any of these."""
+"""Page of the energy of one structure by term and by residue, with residues coloured by energy."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ def write_energies(
 
 
 def _with_units(table: pd.DataFrame) -> pd.DataFrame:
-    """Columns of energies that are not all 0, with their unit in the name."""
+    """Table with the unit in the names of energies, without columns that are all 0."""
     energies = table.select_dtypes("number")
     nonzero = table[[name for name in table if name not in energies or energies[name].any()]]
     return nonzero.rename(columns={name: f"{name}_kj_mol" for name in energies})

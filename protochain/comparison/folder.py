@@ -1,4 +1,4 @@
-"""The folder of a comparison: whether it is free, and what an earlier comparison left there."""
+"""The folder of a comparison: check before a run, and files of an earlier comparison."""
 
 import json
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "differ
 _PAGE, _SUMMARY = "report.html", "summary.json"
 _SUFFIXES = (".pdb", ".cif")
 _OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part.csv")
-"""What batches and simulations leave in their folders."""
+"""Files in the folders of batches and simulations."""
 
 
 def check_folder(folder: Path, force: bool) -> None:
@@ -43,18 +43,18 @@ def files_of(folder: Path, name: str, methods: Iterable[str]) -> list[Path]:
 
 
 def clear(folder: Path) -> None:
-    """Delete the files of an earlier comparison, and no others: no old structure stays beside new tables."""
+    """Delete the files of an earlier comparison, and no others, so that all files belong together."""
     remove_files(folder / name for name in (_PAGE, *_structures(folder), *names()))
 
 
 def names() -> list[str]:
-    """Names of all files that each comparison has beside its structures and its page."""
+    """Names of all files of each comparison, except its structures and its page."""
     # The summary last: it names the structures.
     return [*(f"{stem}.csv" for stem in TABLES), *(f"{stem}.png" for stem in FIGURES), _SUMMARY]
 
 
 def _structures(folder: Path) -> list[str]:
-    """Names of the structures that the summary of a comparison names, each in this folder."""
+    """Names of the structure files in the summary of a comparison, all in this folder."""
     try:
         summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
         ends = [Path(row["output"]) for row in summary["results"] if row["output"]]

@@ -21,10 +21,10 @@ class EveryFrame(AnalysisBase):
     Parameters
     ----------
     atoms : MDAnalysis.Universe or AtomGroup
-        Atoms of the protein. Each frame is prepared as a file would be; frames with the same atoms share one
+        Atoms of the protein. Each frame is prepared like a file. Frames with the same atoms share one
         energy.
     method : str, optional
-        As in :func:`protochain.minimise`; None only measures.
+        As in :func:`protochain.minimise`. None only measures.
     tolerance : float
         As in :func:`protochain.minimise`.
     max_evaluations : int
@@ -35,12 +35,12 @@ class EveryFrame(AnalysisBase):
     Attributes
     ----------
     results.table : pandas.DataFrame
-        A row a frame: ``frame``, ``time_ps``, ``energy_start_kj_mol``, ``max_torque_start_kj_mol_rad``,
-        ``rms_force_start_kj_mol_nm``; of a minimised one also ``energy_end_kj_mol``, ``ca_rmsd_angstrom``,
-        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are of the judge of
+        Row of each frame: ``frame``, ``time_ps``, ``energy_start_kj_mol``, ``max_torque_start_kj_mol_rad``,
+        ``rms_force_start_kj_mol_nm``. Minimised frames also have ``energy_end_kj_mol``, ``ca_rmsd_angstrom``,
+        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are by the judge of
         :func:`protochain.minimise`. A frame that cannot be used has only the ``message``, the reason.
     results.structures : list of Structure
-        Final structure of each frame; None where a frame cannot be used.
+        Final structure of each frame, or None if a frame cannot be used.
 
     Examples
     --------

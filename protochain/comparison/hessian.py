@@ -1,4 +1,4 @@
-"""Second derivatives of an energy in the freedoms of a chain: analytic, or differences of its torques."""
+"""Second derivatives of an energy in the freedoms of a chain, analytic or by differences of its torques."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from protochain.mechanics import multibody
 from protochain.minimisers.spaces import Torsions
 
 STEP = 3e-6
-"""Change of the largest freedom, rad (a tenth of it, in nm, of a root's position).
+"""Change of the largest freedom, rad (a tenth of it, in nm, for a root's position).
 
-The error of a central difference is h^2/6 times the third derivative, and about eps/h times the terms that
-add up to a torque. Their sum is least near eps^(1/3) = 6e-6 where both are of order one; third derivatives
-are larger here, where long arms press atoms together. In ubiquitin the largest error of a column is 1e-8 of
-its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
+The error of a central difference is h^2/6 times the third derivative, plus about eps/h times the terms of a
+torque. Their sum is least near eps^(1/3) = 6e-6 if both are of order one. Third derivatives are larger here,
+because long arms press atoms together. In ubiquitin the largest error of a column is 1e-8 of its length at
+this step, and 6e-8 at 1e-5 and at 1e-6.
 """
 
 
@@ -33,25 +33,25 @@ class Torques:
     """Torques of an energy near one point of a chain."""
 
     chain: Chain
-    energy: Energy  # Of all terms.
-    q: Floats  # (n_q,): The point.
+    energy: Energy  # Energy of all terms.
+    q: Floats  # (n_q,): Coordinates of the point.
 
     @cached_property
     def _varying(self) -> Energy:
-        """The energy without terms that rigid bodies keep: their rounding would be left of them."""
-        # It is exact: platforms of OpenMM round forces to single precision.
+        """The energy without terms that are constant in rigid bodies, which would add rounding errors."""
+        # It is exact, because platforms of OpenMM round forces to single precision.
         energy = self.energy
         energy = energy if energy.is_exact else energy.exact
         return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
 
     @cached_property
     def scale(self) -> Floats:
-        """(n_v,) float: unit of each freedom, 1 rad, or what counts as one of a root's position, nm."""
+        """(n_v,) float: unit of each freedom, 1 rad, or the equivalent of a root's position, nm."""
         return Torsions(self.chain).scale
 
     @property
     def largest(self) -> float:
-        """Largest torque at the point, kJ/mol/rad, of free roots in their own unit."""
+        """Largest torque at the point, kJ/mol/rad, with the root's positions in their unit."""
         return float(np.max(np.abs(self.scale * self.torques_after(np.zeros(self.chain.n_v))), initial=0.0))
 
     def torques_after(self, change: Floats) -> Floats:
@@ -68,18 +68,18 @@ class Torques:
         return np.asarray((self.torques_after(-change) - self.torques_after(change)) / (2.0 * STEP / size))
 
     def matrix(self, freedoms: Any) -> Floats:
-        """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
+        """Hessian (n, n) of some freedoms, analytic if possible, else by two evaluations for each row."""
         if not applies(self.energy):
             return self._by_rows(freedoms)
         block = self._analytic()
-        # Within the same memory: rows move towards its beginning.
+        # The same memory is used: rows move towards its beginning.
         less = block.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
         for row, freedom in zip(less, freedoms, strict=True):
             row[:] = block[freedom, freedoms]
         return less
 
     def _analytic(self) -> Floats:
-        """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
+        """Pairs and Born radii analytically, bonded terms by differences for the hinges of each colour."""
         assert isinstance(self.energy, NativeEnergy)
         block = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
         bonded = replace(self, energy=self.energy.bonded_terms)
@@ -97,7 +97,7 @@ class Torques:
         return block
 
     def _by_rows(self, freedoms: Any) -> Floats:
-        """Hessian (n, n) by differences, made symmetric."""
+        """Hessian (n, n) by differences, symmetrised."""
         rows = np.empty((len(freedoms), len(freedoms)))
         for row, freedom in zip(rows, freedoms, strict=True):
             direction = np.zeros(self.chain.n_v)
@@ -107,7 +107,7 @@ class Torques:
 
 
 def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
-    """Torques near q, or near the chain's own start."""
+    """Torques near q, or near the chain's start."""
     q = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     torques = Torques(chain, energy, q)
     if not np.isfinite(torques.torques_after(np.zeros(chain.n_v))).all():
@@ -124,19 +124,19 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges, a result with its own.
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
+        Files and structures are cut into chains with the default hinges, results with their hinges.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
-        Coordinates; by default those of the chain's structure.
+        Coordinates, by default the coordinates of the chain's structure.
 
     Returns
     -------
     (n_v, n_v) float, kJ/mol/rad^2
-        Symmetric. A free root has (turn, shift) about its frame's origin, world axes, where shifts are in nm:
-        as it moves by the exponential map, these are derivatives at zero torque, and else their symmetric
-        part.
+        Symmetric matrix. A free root has (turn, shift) about its frame's origin, world axes, with shifts in
+        nm. It moves by the exponential map. Its entries are derivatives at zero torque, and otherwise
+        their symmetric part.
 
     Raises
     ------
@@ -145,10 +145,10 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
 
     Notes
     -----
-    Of the native engine without a cutoff, in vacuum and in OBC2, pairs of atoms and Born radii are analytic,
-    and bonded terms central differences of some ten evaluations of these alone; the whole costs O(na^2 n),
-    in ubiquitin as much as 200 evaluations. Of other energies all is by central differences of torques, two
-    evaluations a row, to about 1e-8 of the largest entry.
+    For the native engine without a cutoff, in vacuum and in OBC2, pairs of atoms and Born radii are analytic.
+    Bonded terms are central differences from about ten evaluations of these terms. The cost is O(na^2 n), in
+    ubiquitin equal to 200 evaluations. For other energies all terms are central differences of torques, with
+    two evaluations for each row, to about 1e-8 of the largest entry.
 
     Examples
     --------
@@ -166,14 +166,14 @@ def hessian_product(chain: Any, energy: Any, q: Any, direction: Any) -> Floats:
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         As in :func:`hessian`.
     energy : Energy, callable or None
         As in :func:`hessian`.
     q : (n_q,) float or None
         As in :func:`hessian`.
     direction : (n_v,) float
-        Of the freedoms, of any length.
+        Direction in the freedoms, of any length.
 
     Returns
     -------

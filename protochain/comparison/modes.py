@@ -1,4 +1,4 @@
-"""Normal modes of a chain, and what follows from them: fluctuations, overlaps, entropy, the longest step."""
+"""Normal modes of a chain, with fluctuations, overlaps, entropy, and the longest time step."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FLAT = 1.0
-"""kJ/mol/rad. Largest torque at what counts as a minimum, as of minimisers."""
+"""kJ/mol/rad. Largest torque of a minimum, as for minimisers."""
 
 TEMPERATURE = 300.0
 """K."""
@@ -33,10 +33,10 @@ FRAMES = 20
 """Frames of one swing of a mode."""
 
 _STILL = 1e-9
-"""nm. Changes of all C-alphas together that are but rounding."""
+"""nm. Joint change of all C-alphas that is only rounding."""
 
 _B = 8.0 * np.pi**2 / 3.0
-"""B factor of a mean square displacement."""
+"""B factor for a mean square displacement of 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,33 +46,33 @@ class NormalModes(Value):
     Parameters
     ----------
     chain : Chain
-        Its roots are free, unless something holds them.
+        The chain, with free roots unless obstacles, the energy or ``fixed`` hold them.
     energy_function : Energy
-        Of all terms.
+        Energy of all terms.
     q : (n_q,) float
-        The point.
+        Coordinates of the point.
     eigenvalues : (k,) float, 1/ps^2
-        Squares of the angular frequencies, the lowest first; negative where the energy falls.
+        Squares of the angular frequencies, the lowest first. Negative if the energy falls along the mode.
     modes : (n_v, k) float
-        Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum where nothing holds it.
+        Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum in free chains.
     residuals : (k,) float
-        ``|K a - w^2 M a|``, of ``|K| |a|``.
+        ``|K a - w^2 M a|``, relative to ``|K| |a|``.
     errors : (k,) float, 1/ps^2
-        What the error of the differences of torques, 1e-8 of K, may be of an eigenvalue at most.
+        Upper limits of the errors of eigenvalues by differences of torques, which are 1e-8 of K.
     largest_eigenvalue : float, 1/ps^2
-        Of all modes; NaN if it was not found.
+        Largest eigenvalue of all modes, NaN if it was not found.
     spectrum : (n,) float or None, 1/ps^2
-        All eigenvalues, where the whole Hessian was made, of up to 2000 freedoms.
+        All eigenvalues, if the whole Hessian was computed, of up to 2000 freedoms.
     log_det_mass : float
-        Logarithm of det M of the freedoms that are counted.
+        Logarithm of det M of the counted freedoms.
     log_det_hessian : float or None
-        Logarithm of det K of these, where the whole was made and no mode is negative.
+        Logarithm of det K of these, if the whole was computed and no mode is negative.
     max_torque : float, kJ/mol/rad
         Largest torque at the point.
     held_by : str
-        What holds the whole in place; empty if its six zero modes were left out.
+        Reason for the fixed position of the whole. Empty if its six zero modes were removed.
     n_products : int
-        Products with the Hessian, each two evaluations; 0 if it was made as a whole.
+        Products with the Hessian, each two evaluations, 0 if it was computed as a whole.
     seconds : float
         Run time.
 
@@ -112,13 +112,13 @@ class NormalModes(Value):
 
     @cached_property
     def frequencies(self) -> Floats:
-        """(k,) float, 1/cm: w/2 pi c; minus that of a mode along which the energy falls."""
+        """(k,) float, 1/cm: w/2 pi c, negative for modes along which the energy falls."""
         of = self.eigenvalues
         return np.sign(of) * np.sqrt(np.abs(of)) / (2.0 * np.pi * LIGHT)
 
     @property
     def n_negative(self) -> int:
-        """Number of the modes found along which the energy falls, by more than the error of differences."""
+        """Number of these modes along which the energy falls by more than the error of differences."""
         return int(np.sum(self.eigenvalues < -self.errors))
 
     @property
@@ -133,7 +133,7 @@ class NormalModes(Value):
 
     @property
     def verdict(self) -> str:
-        """What kind of point it is, in words."""
+        """Kind of the point, in words."""
         torque = f"largest torque {self.max_torque:.2g} kJ/mol/rad"
         if self.is_minimum:
             return f"a minimum: {torque}, no mode is negative"
@@ -203,12 +203,12 @@ class NormalModes(Value):
         Returns
         -------
         (na,) float, angstrom^2
-            ``kT sum |J a|^2 / w^2``. Modes that were not asked for are not in it.
+            ``kT sum |J a|^2 / w^2``, only over the computed modes.
 
         Raises
         ------
         ProtochainError
-            If a mode is not above zero: there is no equilibrium about such a point.
+            If a mode is not above zero, because such a point has no equilibrium.
         """
         kt = MOLAR_GAS * checked_temperature(temperature)
         if not self.is_stable:
@@ -231,9 +231,9 @@ class NormalModes(Value):
         Returns
         -------
         pandas.DataFrame
-            Chain, number and name; root mean square displacement of the C-alpha in angstrom; B factor,
-            8 pi^2/3 of its square, in angstrom^2, of the C-alpha and as mean of the residue's heavy atoms;
-            and that of the C-alpha in the file.
+            Chain, number and name, root mean square displacement of the C-alpha in angstrom, and B factors
+            in angstrom^2: 8 pi^2/3 of its square for the C-alpha, the mean over the residue's heavy atoms,
+            and the C-alpha's B factor in the file.
 
         Raises
         ------
@@ -262,7 +262,7 @@ class NormalModes(Value):
 
     @property
     def b_factor_correlation(self) -> float | None:
-        """Pearson's correlation of the C-alphas' B factors with those of the file; None without any."""
+        """Pearson's correlation of the C-alphas' B factors with the file's, None without B factors."""
         alpha = self.chain.structure.alpha_carbons
         filed = self.chain.structure.b_factor[alpha]
         if len(alpha) < 3 or not np.ptp(filed) > 0.0 or not self.is_stable:
@@ -270,11 +270,11 @@ class NormalModes(Value):
         return float(np.corrcoef(self.mean_squares()[alpha], filed)[0, 1])
 
     def overlap(self, other: Any) -> Floats:
-        """How much of the change to another structure each mode has.
+        """Overlap of each mode with the change to another structure.
 
         Parameters
         ----------
-        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
             Residues are matched as by :func:`protochain.rmsd`.
 
         Returns
@@ -293,17 +293,17 @@ class NormalModes(Value):
         return np.abs(modes @ change) / np.where(sizes > 0.0, sizes, 1.0)
 
     def cumulative_overlap(self, other: Any) -> Floats:
-        """How much of the change to another structure the lowest modes have together.
+        """Overlap of the lowest modes together with the change to another structure.
 
         Parameters
         ----------
-        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
 
         Returns
         -------
         (k,) float
-            Length of the change's part in the span of the first 1, 2 ... modes, of its length. C-alpha
-            displacements of torsional modes are not orthogonal to each other; their span is made so first.
+            Length of the change's projection on the first 1, 2 ... modes, relative to its length. C-alpha
+            displacements of torsional modes are not orthogonal, and are orthogonalised first.
 
         Raises
         ------
@@ -315,7 +315,7 @@ class NormalModes(Value):
         return np.sqrt(np.minimum(1.0, np.cumsum((change @ basis) ** 2)))
 
     def _against(self, structure: Any) -> tuple[Floats, Floats]:
-        """Displacements (k, 3n) of matched C-alphas without rigid motion, and the change (3n,), 1 long."""
+        """Displacements (k, 3n) of matched C-alphas without rigid motion, and the unit change (3n,)."""
         start = self.structure
         target = measurable(structure)
         matches = match(start, target)
@@ -351,13 +351,13 @@ class NormalModes(Value):
         ----------
         temperature : float, K
         quantum : bool
-            Whether by the energies hbar w (n + 1/2), as Karplus, Kushick, Macromolecules 14:325 (1981) have
-            it in the classical limit, which this is with False: k sum (1 + ln kT/hbar w).
+            Whether to use the energies hbar w (n + 1/2), or their classical limit, k sum (1 + ln kT/hbar w):
+            Karplus, Kushick, Macromolecules 14:325 (1981).
 
         Returns
         -------
         float, kJ/mol/K
-            Of the internal freedoms.
+            Entropy of the internal freedoms.
 
         Raises
         ------
@@ -382,26 +382,26 @@ class NormalModes(Value):
 
     @property
     def n_freedoms(self) -> int:
-        """Number of freedoms that are counted: all but the six of a whole that nothing holds."""
+        """Number of counted freedoms: all except the six rigid motions of a free chain."""
         return self.chain.n_v - (0 if self.held_by or not self.is_free else 6)
 
     @property
     def largest_stable_step(self) -> float:
-        """Longest time step of the leapfrog in torsions, in ps: 2/w of the fastest mode; NaN if unknown."""
+        """Longest time step of the leapfrog in torsions, in ps: 2/w of the fastest mode, NaN if unknown."""
         return 2.0 / float(np.sqrt(self.largest_eigenvalue))
 
     def swing(self, mode: int, amplitude: float = 1.0, n_frames: int = FRAMES) -> Iterator[Floats]:
-        """Positions along one swing of a mode, by turns of the hinges: no bond is stretched.
+        """Positions along one swing of a mode, by turns of the hinges, so that bonds are not stretched.
 
         Parameters
         ----------
         mode : int
             From 0.
         amplitude : float, angstrom
-            Root mean square displacement of the C-alphas at the ends, where it is small; of all atoms, if
-            there are no C-alphas.
+            Root mean square displacement of the C-alphas at the ends, in the limit of small amplitudes.
+            Without C-alphas, of all atoms.
         n_frames : int
-            Positions, which begin and end at the point.
+            Number of positions, of which the first and the last are at the point.
 
         Yields
         ------
@@ -438,7 +438,7 @@ class NormalModes(Value):
 
 
 def share_moved(displacements: Floats) -> float:
-    """Collectivity of displacements (n, 3); NaN of none."""
+    """Collectivity of displacements (n, 3), NaN if they are 0."""
     squares = np.sum(displacements**2, axis=1)
     if not squares.sum() > 0.0:
         return float("nan")
@@ -447,11 +447,11 @@ def share_moved(displacements: Floats) -> float:
 
 
 def _without_rigid(displacements: Floats, x: Floats) -> Floats:
-    """Displacements (n, 3) of points (n, 3) less those of the nearest rigid motion, as (3n,)."""
+    """Displacements (n, 3) of points (n, 3) without their rigid motion, as (3n,)."""
     arm = x - x.mean(axis=0)
     turns = [np.cross(axis, arm).ravel() for axis in np.eye(3)]
     shifts = [np.tile(axis, len(x)) for axis in np.eye(3)]
-    # Points on a line have but five.
+    # Points on a line have only five.
     rigid, sizes, _ = np.linalg.svd(np.array([*turns, *shifts]).T, full_matrices=False)
     rigid = rigid[:, sizes > 1e-9 * sizes[0]]
     flat = displacements.ravel()

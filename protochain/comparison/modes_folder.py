@@ -1,4 +1,4 @@
-"""What `protochain modes` writes to a folder: tables, the structure, swings, and a page where modes move."""
+"""Output folder of `protochain modes`: tables, the structure, swings, and a page with moving modes."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -24,7 +24,7 @@ from protochain.structure.formats.trajectory import TrajectoryFile
 from protochain.structure.write import as_text
 
 MOVING = 5
-"""Modes, the lowest, whose swings are written and shown."""
+"""Number of lowest modes whose swings are written and shown."""
 
 _LEAST = 1e-3
 """angstrom. Shorter displacements are not drawn."""
@@ -55,7 +55,7 @@ COLUMNS = (
     *of_energy(),
     *of_losses(_structure),
 )
-"""Of the record, in the order in which a reader looks at them."""
+"""Columns of the record, in the order of a reader's interest."""
 
 
 def files_of(folder: Path, n_modes: int, suffix: str, trajectory: str) -> list[Path]:
@@ -68,7 +68,7 @@ def files_of(folder: Path, n_modes: int, suffix: str, trajectory: str) -> list[P
 
 
 def record_of(modes: NormalModes, temperature: float) -> dict[str, Any]:
-    """Return the flat record of modes, with the entropies where all of them are known."""
+    """Return the flat record of modes, with the entropies if all modes are known."""
     entropy, usable = partial(modes.entropy, temperature), modes.is_minimum and modes.is_stable
     return record(COLUMNS, modes) | {
         "temperature_k": temperature,
@@ -91,7 +91,7 @@ def write_modes(
     amplitude: float = 1.0,
     model: Any = None,
 ) -> dict[str, Any]:
-    """Write tables, the structure, swings of the lowest modes and the page; return the record."""
+    """Write tables, the structure, swings of the lowest modes and the page. Return the record."""
     # temperature K, amplitude angstrom.
     table, tables = modes.table(), {}
     full_record = record_of(modes, temperature) | dict(extra)
@@ -136,7 +136,7 @@ def write_modes(
 
 
 def _figure(table: pd.DataFrame, name: str) -> Figure:
-    """B factors of the C-alphas along the sequence, and those of the file as far as there are any."""
+    """Plot B factors of the C-alphas along the sequence, next to the B factors of the file, if present."""
     figure, (axes,) = panels(None, 1, (8, 2.8))
     places = np.arange(1, len(table) + 1)
     filed = table["ca_b_factor_in_file_angstrom2"]

@@ -1,10 +1,10 @@
 """Normal modes in torsions, K a = w^2 M a: Go, Noguti, Nishikawa, PNAS 80:3696 (1983), for any tree.
 
-What nothing holds has an energy that does not depend on where the whole is: with T its rigid motions, the
-rates are T w + P s, where P s leaves the first root at rest, and K s = P^T K P s. The kinetic energy is least
-without momentum, with Schur's complement in place of M. Its inverse is S M^-1 S^T in O(n), where S takes the
-motion of the first root off all that moves: s = S (T w + P s). The zero modes of the whole are thus not there
-to be found, and all others come out exactly.
+The energy of a free chain does not depend on its position: with T its rigid motions, the rates are T w + P s,
+with the first root at rest in P s, and K s = P^T K P s. The kinetic energy is least without momentum, with
+Schur's complement in place of M. Its inverse is S M^-1 S^T in O(n). S subtracts the motion of the first root
+from all rates: s = S (T w + P s). So the zero modes of the whole are removed exactly, and all other modes
+are exact.
 """
 
 import warnings
@@ -37,30 +37,30 @@ from protochain.minimisers.spaces import Torsions, motions_of_whole
 METHODS = ("auto", "dense", "products")
 
 DENSE = 1000
-"""Freedoms up to which ``auto`` makes the whole Hessian by differences. The lowest modes take some 700
-products, whatever the number of freedoms."""
+"""Freedoms up to which ``auto`` computes the whole Hessian by differences. The lowest modes need about 700
+products, for any number of freedoms."""
 
 MOST, ANALYTIC = 6000, 16000
-"""Freedoms that are taken at all: with differences, and where the Hessian is analytic. Five matrices of 6000
-take 1.4 GB, the one of 16000 with what is outside it 3 GB and an hour."""
+"""Limits of freedoms by differences, and with an analytic Hessian. Five matrices of 6000 need 1.4 GB, a
+single matrix of 16000 with work arrays 3 GB and an hour."""
 
 ALL = 2000
-"""Freedoms up to which all eigenvalues of the whole Hessian are found, half a minute for as many."""
+"""Freedoms up to which all eigenvalues of the whole Hessian are computed, in half a minute at this size."""
 
 RESIDUAL = 1e-8
-"""Largest |K a - w^2 M a| of a mode, of |K| |a|: about the error of differences."""
+"""Largest |K a - w^2 M a| of a mode, relative to |K| |a|: about the error of differences."""
 
 _FLOOR = 1.0
-"""kJ/mol/rad^2, added to the stiffness of near terms, as that of the softest turns."""
+"""kJ/mol/rad^2, stiffness of the softest turns, added to the near terms."""
 
 _SHIFT = 0.01
-"""1/ps^2, the least s of K + s M, of half a wavenumber; ten times as much while negative modes need it."""
+"""1/ps^2, the least s of K + s M, of half a wavenumber, increased tenfold while negative modes need it."""
 
 _GUARDS = 4
-"""Modes sought beside those asked for, so that the last of these converges too."""
+"""Additional modes of the search, so that the last of the k modes converges too."""
 
 _SWEEPS = 200
-"""Iterations of LOBPCG at most: 60 are usual."""
+"""Limit of the iterations of LOBPCG, of which 60 are usual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,11 @@ class Inertia:
 
     chain: Chain
     pose: Pose
-    rigid: Floats  # (n_v, 0 or 6): Rigid motions of what nothing holds.
+    rigid: Floats  # (n_v, 0 or 6): Rigid motions of a free chain.
 
     @cached_property
     def freedoms(self) -> NDArray[np.int64]:
-        """(n,) int: those that are counted, all but the first root's if the whole moves freely."""
+        """(n,) int: counted freedoms, all except the first root's if the chain is free."""
         return np.setdiff1d(np.arange(self.chain.n_v), self._root)
 
     @property
@@ -82,13 +82,13 @@ class Inertia:
 
     @cached_property
     def _along(self) -> Floats:
-        """(n, 6) float: rates of the counted freedoms as the whole moves, by those of the first root."""
+        """(n, 6) float: rates of the counted freedoms in rigid motions, by the first root's rates."""
         root = self.rigid[self._root]
         return np.asarray(np.linalg.solve(root.T, self.rigid[self.freedoms].T).T)
 
     @cached_property
     def _of_whole(self) -> tuple[Floats, Floats]:
-        """Momenta (n_v, 6) of the rigid motions, and their own mass matrix (6, 6)."""
+        """Momenta (n_v, 6) of the rigid motions, and their mass matrix (6, 6)."""
         momenta = np.array([self._multiply(motion) for motion in self.rigid.T]).reshape(-1, self.chain.n_v).T
         return momenta, self.rigid.T @ momenta
 
@@ -96,7 +96,7 @@ class Inertia:
         return multibody.multiply_mass(self.chain.tree, self.pose.frames, x)
 
     def full(self, x: Floats) -> Floats:
-        """Rates (n_v, ...) of all freedoms, without momentum, of those of the counted ones (n, ...)."""
+        """Rates (n_v, ...) of all freedoms, without momentum, from the counted rates (n, ...)."""
         out = np.zeros((self.chain.n_v, *x.shape[1:]))
         out[self.freedoms] = x
         momenta, block = self._of_whole
@@ -128,7 +128,7 @@ class Inertia:
         return 0.5 * (block_of_freedoms + block_of_freedoms.T)
 
     def log_det(self) -> float:
-        """Logarithm of its determinant, in O(n): det M = det M_s det T^T M T / det T_root^2."""
+        """Logarithm of the determinant, in O(n): det M = det M_s det T^T M T / det T_root^2."""
         log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
             return log_det_tree
@@ -146,34 +146,34 @@ def normal_modes(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges, a result with its own. A root
-        that ``auto`` has fixed is freed, unless obstacles or the energy hold the chain in place; one that
-        ``fixed`` holds stays.
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
+        Files and structures are cut into chains with the default hinges, results with their hinges. A root
+        that ``auto`` has fixed is freed, unless obstacles or the energy fix the position of the chain. A root
+        with ``fixed`` stays fixed.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
-        Coordinates of a minimum; by default those of the chain's structure. Nothing is minimised here:
-        ``is_minimum`` of the result says whether it is one.
+        Coordinates of a minimum, by default the coordinates of the chain's structure. They are not minimised:
+        ``is_minimum`` of the result reports whether they are a minimum.
     k : int
-        Number of modes, the lowest first; all, if there are fewer.
+        Number of modes, the lowest first, or all if there are fewer.
     method : str
-        ``dense`` makes the whole Hessian, as :func:`protochain.hessian` does, and up to 2000 freedoms finds
-        all frequencies; ``products`` finds the lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001)
-        on differences of torques, guided by a model of the Hessian; ``auto`` is dense where the Hessian is
-        analytic, and else up to 1000 freedoms.
+        ``dense`` computes the whole Hessian, as :func:`protochain.hessian`, and up to 2000 freedoms all
+        frequencies. ``products`` computes the lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001)
+        on differences of torques, preconditioned by a model of the Hessian. ``auto`` is dense if the Hessian
+        is analytic, and else up to 1000 freedoms.
 
     Returns
     -------
     NormalModes
-        Frequencies, modes, and what follows from them. The six zero modes of a molecule that nothing holds
-        are left out exactly.
+        Frequencies, modes, and derived quantities. The six zero modes of a free molecule are removed
+        exactly.
 
     Raises
     ------
     ProtochainError
         If the input cannot be used, the method is unknown, the modes do not converge, or there are more than
-        16000 freedoms, or 6000 where the Hessian is not analytic.
+        16000 freedoms, or 6000 without an analytic Hessian.
 
     Examples
     --------
@@ -221,12 +221,12 @@ def normal_modes(
 
 
 def check_modes(k: int, method: str) -> None:
-    """Refuse a number of modes below 1, and an unknown method."""
+    """Raise an error for a number of modes below 1, or an unknown method."""
     at_least(1)(k, "modes"), one_of(METHODS)(method, "method")
 
 
 def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
-    """Refuse more freedoms than memory and an hour are enough for."""
+    """Raise an error for more freedoms than fit into memory and an hour."""
     limit = ANALYTIC if analytic else MOST
     if n > limit:
         alternative = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
@@ -237,7 +237,7 @@ def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
 
 
 def _free_root(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
-    """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
+    """Chain whose roots fixed by ``auto`` are free, and its coordinates."""
     free_chain = with_free_root(chain)
     return free_chain, transfer_coordinates(chain, free_chain, q)
 
@@ -266,14 +266,14 @@ def _largest(stiffness: Floats) -> float:
 
 
 def _with_errors(values: Floats, vectors: Floats, misfit: Floats, norm: float, **data: Any) -> _Eigenpairs:
-    """Eigenpairs with their backward errors, and what an error of 1e-8 of K may be of a value."""
+    """Eigenpairs with their backward errors, and errors of values from an error of 1e-8 of K."""
     sizes = np.linalg.norm(vectors, axis=0)
     residuals = np.linalg.norm(misfit, axis=0) / (norm * sizes)
     return _Eigenpairs(values, vectors, residuals, RESIDUAL * norm * sizes**2, **data)
 
 
 def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
-    """All eigenvalues by LAPACK, or of many freedoms the lowest and the largest by Lanczos."""
+    """All eigenvalues by LAPACK, or for many freedoms the lowest and the largest by Lanczos."""
     stiffness = torques.matrix(inertia.freedoms)
     n = len(stiffness)
     if not np.isfinite(np.vdot(stiffness, stiffness)):
@@ -294,7 +294,7 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
 
 
 def _log_det(stiffness: Floats) -> float | None:
-    """Logarithm of the determinant; None if the matrix is not positive definite."""
+    """Logarithm of the determinant, or None if the matrix is not positive definite."""
     try:
         return 2.0 * float(np.sum(np.log(np.diagonal(cholesky(stiffness, lower=True, check_finite=False)))))
     except LinAlgError:
@@ -302,13 +302,13 @@ def _log_det(stiffness: Floats) -> float | None:
 
 
 class _Factored:
-    """A symmetric matrix (n, n), and in the same memory the factor of it and of what is added to it.
+    """A symmetric matrix (n, n), and in the same memory the Cholesky factor of it or of a sum with it.
 
-    The factor takes one triangle and the diagonal, of which there is a copy; the matrix keeps the other.
+    The factor is in one triangle and the diagonal, which is copied. The matrix is in the other triangle.
     """
 
     def __init__(self, matrix: Floats) -> None:
-        # The transpose is what LAPACK calls the matrix, without a copy.
+        # LAPACK's matrix is the transpose, without a copy.
         self.matrix, self.diagonal = matrix.T, np.diagonal(matrix).copy()
 
     def __matmul__(self, x: Floats) -> Floats:
@@ -316,7 +316,7 @@ class _Factored:
         return np.asarray(dsymv(1.0, self.matrix, x, lower=0) + upper * x)
 
     def factorise(self, add: Callable[[int], Floats] | None = None) -> bool:
-        """Make the factor of the matrix, with columns added to it; False if that is not positive."""
+        """Factorise the matrix plus added columns. Return False if the sum is not positive definite."""
         for j, below in enumerate(self.matrix.T):
             below[j], below[j + 1 :] = self.diagonal[j], self.matrix[j, j + 1 :]
             if add is not None:
@@ -328,12 +328,12 @@ class _Factored:
         return np.asarray(dpotrs(self.matrix, b, lower=1)[0])
 
     def log_det(self) -> float:
-        """Logarithm of the determinant of what is factorised."""
+        """Logarithm of the determinant of the factorised matrix."""
         return 2.0 * float(np.sum(np.log(np.diagonal(self.matrix))))
 
 
 def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Eigenpairs:
-    """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive with zero modes, too."""
+    """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive even with zero modes."""
     n = len(stiffness.diagonal)
     k_of, m_of, rates_of, inverse = (
         LinearOperator((n, n), matvec=f, dtype=np.float64)
@@ -345,7 +345,7 @@ def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Eigenpairs:
     largest = float(eigsh(k_of, M=m_of, Minv=rates_of, **one)[0])
     log_det = stiffness.log_det() if stiffness.factorise() else None
     shift = _SHIFT
-    # Below the lowest eigenvalue, so that those next to it are the lowest.
+    # The shift is below the lowest eigenvalue, so that the nearest eigenvalues are the lowest.
     while not stiffness.factorise(partial(inertia.column, shift)):
         shift *= 10.0
     values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
@@ -388,7 +388,7 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     guides = eigh(model, inertia.matrix(), subset_by_index=[0, min(n, k + _GUARDS) - 1])[1]
     tolerance = 0.5 * RESIDUAL * norm * float(np.min(np.linalg.norm(guides, axis=0)))
     with warnings.catch_warnings():
-        # What is left is measured below.
+        # Residuals are checked below.
         warnings.simplefilter("ignore")
         solved: Any = lobpcg(
             k_of, guides, B=m_of, M=operator(lambda x: cho_solve(factor, x)), tol=tolerance, maxiter=_SWEEPS,
@@ -408,7 +408,7 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
 
 
 def _model(torques: Torques, inertia: Inertia) -> Floats:
-    """Stiffness (n, n) of near terms, or of contacts where they are not known, as in minimisers."""
+    """Stiffness (n, n) of near terms, or of contacts if terms are unknown, as in minimisers."""
     matrix = Torsions(inertia.chain, near_terms(torques.energy)).model(inertia.pose)
     matrix = matrix[np.ix_(inertia.freedoms, inertia.freedoms)]
     matrix[np.diag_indices_from(matrix)] += _FLOOR * torques.scale[inertia.freedoms] ** -2

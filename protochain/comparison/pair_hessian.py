@@ -1,9 +1,9 @@
 """Hessian of the native energy: pairs and Born radii analytically, bonded terms by a few differences.
 
-A pair of atoms adds its second derivative, K = J^T H J, and what its forces do as the atoms' paths curve:
--f . d2x/dq dq, by sums of x f^T over what each hinge carries. The generalised Born energy E(x, B(x)) adds
-P^T E_BB P + P^T E_Bx J + J^T E_xB P + sum E_B B'' dI dI^T with P = dB/dq, by dense products, O(na^2 n).
-Bonded terms change with the hinges between their atoms only, so that many hinges may turn at once.
+A pair of atoms adds its second derivative, K = J^T H J, and a term of its forces for the atoms' curved paths,
+-f . d2x/dq dq, by sums of x f^T over the atoms outward of each hinge. The generalised Born energy E(x, B(x))
+adds P^T E_BB P + P^T E_Bx J + J^T E_xB P + sum E_B B'' dI dI^T with P = dB/dq, by dense products, O(na^2 n).
+Bonded terms only change with the hinges between their atoms, so that many hinges may turn at once.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,19 +26,19 @@ from protochain.minimisers.torsion_kernels import _inward_order, _motions
 kernels: Any = pair_kernels
 
 _ROWS = 256
-"""Atoms whose second derivatives in Born radii are made at a time."""
+"""Number of atoms in a block of second derivatives in Born radii."""
 _PART = 32
-"""Atoms that a thread takes at a time."""
+"""Number of atoms in a task of a thread."""
 _KEPT = 64e6
-"""Bytes of derivatives of Born radii that are kept; of large molecules, half as much as the result takes."""
+"""Bytes of stored derivatives of Born radii, or half of the result's bytes for large molecules."""
 _BODIES = 64
-"""Bodies whose rows are made at a time."""
+"""Number of bodies in a block of rows."""
 _COLUMNS = 16
-"""Parts of the other bodies, which threads take: sums keep their order for any number of threads."""
+"""Parts of the other bodies for threads, so that the order of sums is independent of their number."""
 
 
 def applies(energy: Energy) -> bool:
-    """Whether an energy is the sum of these terms: native, without cutoff, and of a solvent without necks."""
+    """Whether an energy is the sum of these terms: native, without cutoff, with a solvent without necks."""
     if not isinstance(energy, NativeEnergy):
         return False
     terms = energy.terms
@@ -70,7 +70,7 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
 
 
 Share = Callable[[Callable[[Any], None], Any], None]
-"""Does something for each part, in threads."""
+"""Calls a function for each part, in threads."""
 
 
 def _shares(pool: ThreadPoolExecutor) -> Share:
@@ -82,7 +82,7 @@ def _shares(pool: ThreadPoolExecutor) -> Share:
 
 
 def symmetrise(matrix: Floats) -> None:
-    """Put the mean of a matrix (n, n) and its transpose in its place, without another one."""
+    """Replace a matrix (n, n) by the mean with its transpose, in place."""
     n = len(matrix)
     for a in range(0, n, _ROWS):
         for b in range(a, n, _ROWS):
@@ -92,12 +92,12 @@ def symmetrise(matrix: Floats) -> None:
 
 
 def _add_product(matrix: Floats, a: Floats, b: Floats) -> None:
-    """Add 2 (a^T b)^T to a matrix in place: of its symmetric part, a^T b + b^T a."""
+    """Add 2 (a^T b)^T to a matrix in place, whose symmetric part is a^T b + b^T a."""
     dgemm(2.0, a.T, b.T, beta=1.0, c=matrix.T, trans_b=True, overwrite_c=True)
 
 
 def _parameters(terms: Terms, by_body: Integers) -> tuple[Any, ...]:
-    """Parameters of the pairs, of atoms in the order of their bodies."""
+    """Parameters of the pairs, with atoms in the order of their bodies."""
     nonbonded = terms.nonbonded
     return (
         nonbonded.charge[by_body], nonbonded.lj_type[by_body].astype(np.int64), np.array(nonbonded.a12),
@@ -109,7 +109,7 @@ def _add_pairs(
     matrix: Floats, atoms: tuple[Floats, Integers], tree: tuple[Any, ...], pairs: tuple[Any, Any],
     share: Share,
 ) -> Floats:  # fmt: skip
-    """Add the pairs between bodies, once each; return each atom's stiffness by itself, and force, (na, 9)."""
+    """Add each pair between bodies once. Return the stiffness and force of each single atom (na, 9)."""
     (x, first), (parent, v_start, motions) = atoms, tree
     order, depth = _inward_order(parent)
     ends = np.searchsorted(first, np.arange(_COLUMNS + 1) * len(x) // _COLUMNS).astype(np.int64)
@@ -134,12 +134,12 @@ def _add_pairs(
 
 
 def _ranges(start: Integers, indices: Integers) -> Integers:
-    """Numbers from the start of each of some to its end, one after the other."""
+    """Concatenated ranges of indices, each from its start to its end."""
     return np.concatenate([np.arange(start[b], start[b + 1]) for b in indices]).astype(np.int64)
 
 
 def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Floats]:
-    """Start of each atom's partners, the partners, and the parameters of the pairs, both ways."""
+    """Start of each atom's partners, the partners, and the parameters of the pairs, in both directions."""
     place = np.empty(terms.n_atoms, np.int64)
     place[by_body] = np.arange(terms.n_atoms)
     i, j = place[terms.nonbonded.exceptions.atoms].T
@@ -154,9 +154,9 @@ def _add_radii(
     matrix: Floats, terms: Terms, by_body: Integers, born: Floats, atoms: tuple[Floats, Integers, Integers],
     tree: tuple[Any, ...], share: Share,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Add second derivatives by way of the Born radii; return what pairs need to know of these."""
-    # Derivatives of radii (na, n_v) may be too many to keep: then those of some are kept, and of the others
-    # made again beside them.
+    """Add second derivatives through the Born radii, and return the solvent's parameters of pairs."""
+    # Derivatives of radii (na, n_v) may be too many to store: then some are stored, and the others are
+    # computed again for each block.
     s = terms.solvent
     assert s is not None
     n, n_v = len(by_body), len(matrix)
@@ -194,10 +194,10 @@ def _add_radii(
         for begin, end in _parts(left, right, _ROWS):
             share(partial(_call_kernel, kernels.born_rows, constants, begin), _parts(begin, end))
             couplings = coupling_block(begin, end, begin, right)
-            # Half of a symmetric product: the other is its transpose.
+            # Half of a symmetric product: the other half is its transpose.
             chunk_couplings = couplings[:, : end - begin]
             chunk_couplings *= 0.5
-            # Where a radius is as large as it can be, nothing changes it.
+            # Radii at their upper limit are constant.
             rows, turn = slice(begin, end), np.zeros(end - begin)
             np.divide(bend[rows], slope[rows] ** 2, out=turn, where=slope[rows] != 0.0)
             chunk_couplings[np.diag_indices(end - begin)] = 0.5 * (
@@ -213,21 +213,21 @@ def _add_radii(
 
 
 def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:
-    """Ranges of some, of a size at most; as small as a thread takes at a time."""
+    """Split a range into parts, by default of the size of a thread's task."""
     return [(k, min(end, k + size)) for k in range(begin, end, size)]
 
 
 def _call_kernel(kernel: Any, arguments: tuple[Any, ...], *parts: Any) -> None:
-    """Call a kernel for a part, the last, after what comes before it."""
+    """Call a kernel with the first arguments, the last part unpacked, and all other arguments."""
     kernel(*parts[:-1], *parts[-1], *arguments)
 
 
 def born_radii(
     integral: Floats, offset: Floats, radius: Floats, bend: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Born radii of integrals, with their first and second derivatives."""
-    # 1/B = 1/offset - tanh(u)/radius with u = alpha psi - beta psi^2 + gamma psi^3, psi = integral offset; of
-    # HCT, whose three are zero, 1/B = 1/offset - integral.
+    """Born radii from integrals, with their first and second derivatives."""
+    # 1/B = 1/offset - tanh(u)/radius with u = alpha psi - beta psi^2 + gamma psi^3, psi = integral offset. In
+    # HCT the three are zero, and 1/B = 1/offset - integral.
     alpha, beta, gamma = bend.T
     psi = integral * offset
     t = np.tanh(psi * (alpha - psi * (beta - psi * gamma)))
@@ -245,7 +245,7 @@ def _add_atoms(
     matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, per_atom: Floats,
     middle: Floats,
 ) -> None:  # fmt: skip
-    """Add J^T D J of each atom by itself, and -f . d2x/dq dq."""
+    """Add J^T D J of each single atom, and -f . d2x/dq dq."""
     # A turn about axis a after one about b moves by a cross (b cross r).
     tree, forces = chain.tree, per_atom[:, 6:]
     moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
@@ -279,7 +279,7 @@ def _add_atoms(
 
 
 def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
-    """Freedoms that bonded terms couple (n_v, n_v), and a colour of each; none shares a row with its like."""
+    """Freedoms coupled by bonded terms (n_v, n_v), and colours: freedoms of a colour share no row."""
     tree = chain.tree
     depth, root = np.zeros(tree.n_bodies, np.int64), np.arange(tree.n_bodies)
     for b in range(tree.n_bodies):
@@ -306,7 +306,7 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
 
 
 def _hinges_between(bodies: set[int], parent: Any, depth: Integers, root: Integers) -> Iterator[int]:
-    """Bodies whose hinges lie between some bodies; of several trees, all to the roots and these too."""
+    """Bodies whose hinges are between some bodies, for several trees up to the roots inclusive."""
     left = set(bodies)
     while len(left) > 1:
         deepest = max(left, key=lambda b: int(depth[b]))
@@ -316,6 +316,6 @@ def _hinges_between(bodies: set[int], parent: Any, depth: Integers, root: Intege
             left.add(int(parent[deepest]))
         elif not left:
             return
-    # Of several trees the last root moves against the others, too.
+    # In several trees the last root moves relative to the others, too.
     if len({int(root[b]) for b in bodies}) > 1:
         yield from left

@@ -1,8 +1,8 @@
 """Second derivatives of pairs of atoms, and of Born radii, along the freedoms of a tree.
 
 With u = r^2 a pair adds D = 4 E_uu d d^T + 2 E_u 1 between its atoms. Generalised Born radii B_i(I_i) depend
-on all other atoms by I_i = sum h(r_ij), so that K has also terms with the rows P = dB/dq, which is made here
-for one atom after the other: forces on all bodies, added up from the leaves inward. Twists and wrenches are
+on all other atoms by I_i = sum h(r_ij), so that K also has terms with the rows P = dB/dq. These are computed
+here atom by atom, from forces on all bodies, which are summed from the leaves inward. Twists and wrenches are
 about one point, as in :mod:`protochain.minimisers.torsion_kernels`.
 """
 
@@ -16,27 +16,27 @@ _FAR = 0.16
 """Square of s/r up to which the integral of a sphere is a series of :data:`_TERMS` terms."""
 _TERMS = 18
 _STEP = 1e-5
-"""Of the distance, for the second derivative of an integral that is no series."""
+"""Relative step of the distance for the second derivative of an integral without a series."""
 _K = np.arange(1.0, _TERMS + 1.0)
 _VALUE = 2.0 * _K / (2.0 * _K + 1.0)
 _SLOPE = -_VALUE * (2.0 * _K + 2.0)
 _SECOND = -_SLOPE * (2.0 * _K + 3.0)
 """Coefficients of t^(k-1), t = (s/r)^2, of h = s^3/2r^4 sum 2k/(2k+1) t^(k-1) and its derivatives."""
 _NEGLIGIBLE = 36.0
-"""x of exp(-x) from which on the Born radii of a pair do not matter to it: 2e-16 is left."""
+"""x of exp(-x) above which the Born radii of a pair are negligible: 2e-16 remains."""
 
 
 Tree = tuple[Integers, Integers, Integers, Floats]
 """Parent, depth and first freedom of each body, and motions of the freedoms."""
 Pairs = tuple[Floats, Integers, Floats, Floats, Integers, Integers, Floats]
-"""Charges, Lennard-Jones types and their A and B; starts, partners and parameters of exceptions."""
+"""Charges, Lennard-Jones types, their A and B, and starts, partners and parameters of exceptions."""
 Solvent = tuple[bool, Floats, Floats, Floats, Floats, bool, Floats]
-"""Whether there is one; charges, Born and offset radii, scaled radii; whether spheres engulf; pulls."""
+"""Whether it exists, charges, Born and offset radii, scaled radii, whether spheres engulf, and pulls."""
 
 
 @scalar
 def screening(r: float, u: float, radius: float, s: float, engulfs: bool) -> tuple[float, float, float]:
-    """Descreening integral h of a sphere of radius s at distance r from an atom, h'/r, and h''; u = 1/r^2."""
+    """Descreening integral h of a sphere of radius s at distance r from an atom, h'/r and h'', u = 1/r^2."""
     t = s * s * u
     if t < _FAR and r - s > radius:
         terms = 5 if t < 0.001 else 9 if t < 0.02 else _TERMS
@@ -55,7 +55,7 @@ def screening(r: float, u: float, radius: float, s: float, engulfs: bool) -> tup
 
 @scalar
 def born_distance(r2: float, radii: float, inverse: float) -> tuple[float, float, float, float]:
-    """Of a pair's energy -qq/f: f^2, 1/f, exp(-x) and x = r^2/4BB, given BB and its inverse."""
+    """Terms of a pair's energy -qq/f: f^2, 1/f, exp(-x) and x = r^2/4BB, given BB and its inverse."""
     x = 0.25 * r2 * inverse
     decay = np.exp(-x) if x < _NEGLIGIBLE else 0.0
     f2 = r2 + radii * decay
@@ -66,7 +66,7 @@ def born_distance(r2: float, radii: float, inverse: float) -> tuple[float, float
 def born_coupling(
     r2: float, radii: float, inverse: float, charges: float
 ) -> tuple[float, float, float, float, float]:
-    """Of a pair's energy E: dE/df^2 and d2E/df^2 df^2, exp(-x) and x, and d2E/dB_i dB_j."""
+    """Terms of a pair's energy E: dE/df^2 and d2E/df^2 df^2, exp(-x) and x, and d2E/dB_i dB_j."""
     _, by_f, decay, x = born_distance(r2, radii, inverse)
     twice = by_f * by_f
     by_f *= 0.5 * charges * twice
@@ -201,11 +201,11 @@ def pair_sweep(
     bodies: Integers, begin: int, end: int, tree: Tree, atoms: tuple[Floats, Integers], pairs: Pairs,
     solvent: Solvent, sums: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
-    """Wrenches on some bodies, at unit rates of those from ``begin`` to ``end`` that come before them."""
-    # Atoms lie in the order of their bodies. Of the sums, a row of blocks, (6, 6 nb), is summed from the
-    # leaves inward; ``along`` has its components along the freedoms of the bodies, one after the other. The
-    # stiffness of each atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms
-    # of the bodies, one after the other, and are added to ``there`` for the others.
+    """Wrenches on some bodies, at unit rates of earlier bodies from ``begin`` to ``end``."""
+    # Atoms are in the order of their bodies. In ``sums``, ``rows`` has blocks (6, 6 nb), summed from the
+    # leaves inward, and ``along`` has their components along the freedoms of the bodies. The stiffness of
+    # each single atom, (xx, xy, xz, yy, yz, zz), and the force on it are written to ``sources`` for atoms of
+    # the bodies, and are added to ``targets`` for the other atoms.
     parent, depth, v_start, motions = tree
     (x, first), (rows, along, sources, targets) = atoms, sums
     charge, lj_type, a12, b6, partner_start, partner, stiffness = pairs

@@ -1,4 +1,4 @@
-"""Figures of a comparison: safe for colour-blind readers, and readable in grey by line style."""
+"""Figures of a comparison, with colours for colour-blind readers, and line styles for grey prints."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
@@ -16,9 +16,9 @@ from protochain.results.figures import panels, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 _LOG_FROM = 1e4
-"""kJ/mol. A larger drop, as from a relieved clash, would hide all else on a linear axis."""
+"""kJ/mol. A larger drop, as from a relieved clash, needs a logarithmic axis."""
 _SAME = 0.1
-"""kJ/mol above the lowest, where curves end on a logarithmic axis: less is the same minimum."""
+"""kJ/mol above the lowest, lower limit of a logarithmic axis: less is the same minimum."""
 
 
 def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
@@ -75,7 +75,7 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
 
 
 def _set_title(axes: Any, ax: Any, title: str) -> PlainFigure:
-    """Figure of the Axes, with a title: above all panels of a new one, above the first of given ones."""
+    """Figure of the Axes, with a title above all panels, or above the first of the user's Axes."""
     figure: PlainFigure = axes[0].figure
     if ax is None:
         wide = int(11 * figure.get_figwidth())
@@ -163,7 +163,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
-    """Change of torsions along the sequence, over how far the C-alphas moved."""
+    """Change of torsions and displacement of C-alphas along the sequence."""
     _, axes = panels(ax, (2, 1), (8, 5), least=1)
     top, bottom = axes[0], axes[-1]
     styles = _styles(changes)
@@ -193,11 +193,11 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
 
 _CHIS = ("chi1", "chi2", "chi3", "chi4")
 _PLACES = 12
-"""Residues that an axis names, more where there are as many chains."""
+"""Number of residues that an axis names, more if there are more chains."""
 
 
 def residue_places(chain: Any, number: Any) -> dict[int, str]:
-    """Names of some residues along an axis, by place from 1: the first of each chain, and some between."""
+    """Labels of residues along an axis, by place from 1: the first of each chain, and some between."""
     starts = np.flatnonzero(np.append(True, chain[1:] != chain[:-1])[: len(chain)]).tolist()
     step = 5 * max(1, round(len(chain) / _PLACES / 5))
     between = [k for k in range(step, len(chain), step) if min(abs(k - start) for start in starts) > step / 2]
@@ -230,7 +230,7 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
 
 
 def ramachandran_ground(panel: Axes) -> None:
-    """Draw what is favoured, dark grey, and allowed, light grey, of most residues; axes in degrees."""
+    """Draw the favoured (dark grey) and allowed (light grey) regions of most residues, axes in degrees."""
     favoured = tables()[0].T
     grid = np.linspace(-179.0, 179.0, len(favoured))
     panel.contourf(grid, grid, favoured, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])

@@ -23,18 +23,18 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
 
     Parameters
     ----------
-    structure : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+    structure : Structure, Solution, path, or anything that :func:`protochain.as_structure` accepts
         Structure to measure. A solution is measured against its own start.
     start : the same, with the same atoms, optional
-        Structure that it came from; without one, the measures of change are left out.
+        Structure before the change. Without it, measures of change are skipped.
     chain : Chain, optional
-        Chain of the start, which tells what could part the overlaps.
+        Chain of the start, whose hinges determine which overlaps count.
 
     Returns
     -------
     dict of str to float
-        ``radius_of_gyration_angstrom``; ``overlaps`` of nonbonded atoms; ``hydrogen_bonds`` (Baker, Hubbard,
-        1984); and all of :func:`protochain.validation.measures`. With a start also
+        ``radius_of_gyration_angstrom``, ``overlaps`` of nonbonded atoms, ``hydrogen_bonds`` (Baker, Hubbard,
+        1984), and all of :func:`protochain.validation.measures`. With a start also
         ``ca_rmsd_to_start_angstrom``, ``tm_score_to_start``, ``secondary_structure_kept`` (fraction of
         residues, by DSSP), ``bond_length_change_rms_angstrom`` and ``bond_angle_change_rms_degrees``.
 
@@ -71,7 +71,7 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
 
 
 def _alone(structure: Structure, chain: Chain | None) -> dict[str, Any]:
-    """Measures that need no start."""
+    """Measures of a single structure."""
     return {
         "radius_of_gyration_angstrom": radius_of_gyration(structure),
         "overlaps": len(overlaps(structure, structure.positions, chain)),

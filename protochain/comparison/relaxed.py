@@ -1,4 +1,4 @@
-"""Page of a relaxation: before and after, both structures, the end coloured by how far each atom moved."""
+"""Page of a relaxation: measures and structures before and after, coloured by displacement."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -49,16 +49,16 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
 
 
 _NAMED = 10
-"""Residues that are named of each kind."""
+"""Number of residues that are listed for each kind."""
 _MOVED, _TURNED = 0.1, 10.0
-"""Angstrom of a C-alpha, and degrees of torsions (root mean square), from which on residues are named."""
+"""Least displacement of a C-alpha, angstrom, and change of torsions (RMS), degrees, of listed residues."""
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 
 
 def named_residues(
     relaxation: Relaxation, changes: Mapping[str, Differences]
 ) -> dict[str, list[tuple[str, str]]]:
-    """Residues that a reader looks at first, by what they are: place in the viewer, and words."""
+    """Most interesting residues by kind: their keys in the viewer, and text."""
     s = relaxation.start
     before, after = (_outliers(Findings(s, x)) for x in (s.positions, relaxation.x))
     groups = {
@@ -102,6 +102,6 @@ def _outliers(findings: Findings) -> dict[str, set[int]]:
 
 
 def viewer_scene(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:
-    """Variables of the viewer's template, by displacement at first."""
+    """Variables of the viewer's template, initially coloured by displacement."""
     ends = relaxation.ends()
     return scene(ends, colourings(ends, relaxation.energy_function, changes), DISPLACEMENT)

@@ -1,4 +1,4 @@
-"""Page of scored interfaces: the table, and the two sides with residues coloured by their shares."""
+"""Page of scored interfaces: the table, and the two sides with residues coloured by energy."""
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -16,9 +16,9 @@ from protochain.structure.write import as_text, common_suffix
 from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES, Interface
 
 _MOST = 20
-"""Interfaces whose structures are on the page: each is up to a megabyte."""
+"""Limit of interfaces with structures on the page, each up to a megabyte."""
 _FULL = 10.0
-"""kJ/mol of a residue from which on the colour is the same."""
+"""kJ/mol of a residue at which the colour saturates."""
 
 
 def write_scored(
@@ -47,11 +47,11 @@ _FIRST = (
     "rank", "file", "interface", "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity",
     "hydrogen_bonds", "salt_bridges", "unsatisfied_polar_atoms", "clashes", "ipsae", "pdockq2",
 )  # fmt: skip
-"""Columns that are shown at first."""
+"""Columns that are shown initially."""
 
 
 def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
-    """Rows with their place, for a page."""
+    """Rows with their ranks, for a page."""
     table = pd.DataFrame(
         [
             {"rank": place, "file": Path(row["file"]).name, "interface": row["interface"]}
@@ -64,7 +64,7 @@ def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[s
 
 
 def _model(interface: Interface, row: Mapping[str, Any]) -> dict[str, Any]:
-    """What the viewer needs of an interface: its atoms, the residues of either side, shares of some."""
+    """Data of an interface for the viewer: atoms, residues of each side, and energies of residues."""
     structure = interface.structure
     suffix = common_suffix([structure])
     places = residue_keys(structure)

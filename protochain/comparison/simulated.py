@@ -1,4 +1,4 @@
-"""Page of a simulation: its log along time, fluctuations, the Ramachandran plot, and frames in the viewer."""
+"""Page of a simulation: its log, fluctuations, the Ramachandran plot, and frames in the viewer."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ from protochain.structure.write import as_text, common_suffix
 from protochain.validation.ramachandran import ramachandran
 
 _MOST, _SHOWN, _ATOMS = 400, 60, 200_000
-"""Frames that figures are of; frames in the viewer, and atoms of all of them, each some ten bytes."""
+"""Limits of frames in figures, of frames in the viewer, and of their atoms, each about ten bytes."""
 _DRAWN = (
     ("energy, kJ/mol", ("potential_kj_mol", "conserved_kj_mol")),
     ("temperature, K", ("temperature_k",)),
@@ -33,7 +33,7 @@ _DRAWN = (
 def write_simulated(
     structure: Structure, log: pd.DataFrame, record: Mapping[str, Any], trajectory: Path, path: Path
 ) -> None:
-    """Write the page of a simulation, one file that works offline; a row of the log is a frame."""
+    """Write the page of a simulation, one file that works offline. A row of the log is a frame."""
     from protochain.structure.formats.frames import open_frames
 
     stride = -(-len(log) // _MOST)
@@ -70,7 +70,7 @@ def write_simulated(
 
 
 def averages(log: pd.DataFrame) -> pd.DataFrame:
-    """Mean, standard deviation, lowest, highest and drift of each quantity of a log, a row each."""
+    """Mean, standard deviation, lowest, highest and drift, with a row for each quantity of a log."""
     time, rows = log["time_ps"].to_numpy(), []
     for name in (column for column in log.columns if column not in ("step", "time_ps", "seconds")):
         values = log[name].to_numpy(dtype=float)
@@ -81,7 +81,7 @@ def averages(log: pd.DataFrame) -> pd.DataFrame:
 
 
 def _log(log: pd.DataFrame) -> Figure:
-    """What the log has, against time: quantities of one unit in one panel."""
+    """Plot quantities of the log against time, quantities of one unit in one panel."""
     drawn = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
     drawn = [(label, names) for label, names in drawn if names]
     figure, axes = panels(None, (len(drawn), 1), (8, 2.1 * len(drawn)), sharex=True)

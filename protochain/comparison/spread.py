@@ -12,7 +12,7 @@ from protochain.structure import ca_rmsd
 
 
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
-    """Spread of each method, from its solution and its further runs: one row per method."""
+    """Spread of each method over its solution and its further runs, one row per method."""
     runs = [[s, *(r for r in repeats if r.method == s.method)] for s in solutions]
     return pd.DataFrame([{column.key: column.value(solution) for column in COLUMNS} for solution in runs])
 
@@ -43,4 +43,4 @@ COLUMNS = (
     ),
     Column("seconds_median", lambda runs: float(np.median([s.seconds for s in runs]))),
 )
-"""Of the runs of one method from one start."""
+"""Columns of the runs of one method from one start."""

@@ -1,4 +1,4 @@
-"""Energies at equal cost, and the cost to approach the lowest end: in evaluations and in seconds."""
+"""Energies at equal cost, and the cost to approach the lowest end, in evaluations and in seconds."""
 
 from collections.abc import Mapping
 
@@ -21,11 +21,11 @@ def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
 
 
 WITHIN = (100.0, 10.0, 1.0)
-"""kJ/mol above the lowest end; 1 counts as the same minimum."""
+"""kJ/mol above the lowest end. 1 counts as the same minimum."""
 
 
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
-    """Evaluations and seconds until each method first came within ``WITHIN`` of the lowest end."""
+    """Evaluations and seconds until each method first reached ``WITHIN`` above the lowest end."""
     # lowest kJ/mol.
     rows = []
     for method, run in traces.groupby("method", sort=False):

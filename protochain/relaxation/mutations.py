@@ -148,7 +148,7 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
 
     Parameters
     ----------
-    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+    source : Structure, path, or anything that :func:`protochain.as_structure` accepts
         Structure to mutate; relax it first.
     mutations : str or sequence of str
         As ``"A:L45F"``, separated by commas, all in one mutant. For a single chain also ``"L45F"``.

@@ -58,7 +58,7 @@ def relax(
 
     Parameters
     ----------
-    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+    source : Structure, path, or anything that :func:`protochain.as_structure` accepts
         Structure to relax. If it is a result, its energy and selection are the defaults of the relaxation.
     preset : str
         ``predicted``, ``crystal`` or ``design`` (see :class:`protochain.relaxation.RelaxSettings`).

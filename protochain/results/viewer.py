@@ -169,7 +169,7 @@ def view(shown: Any) -> View:
 
     Parameters
     ----------
-    shown : Solution, Relaxation, Comparison, Chain, or anything that :func:`protochain.as_structure` takes
+    shown : Solution, Relaxation, Comparison, Chain, or anything that :func:`protochain.as_structure` accepts
         A result shows its start and its ends.
 
     Returns

@@ -98,7 +98,7 @@ def search(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         A single chain at which all walks begin. :func:`protochain.from_sequence` builds one.
     energy : Energy, optional
         As in :func:`protochain.minimise`.
