@@ -130,7 +130,7 @@ class Struck:
 
 
 def _axes(x: float, y: float, z: float) -> list[list[float]]:
-    """Normal and two directions across it, (3, 3). One lies in a plane of two world axes if the normal does."""
+    """Normal and two directions across it, (3, 3), one in the plane of two world axes that has the normal."""
     a, b, c = abs(x), abs(y), abs(z)
     # Part across the normal of the world axis that is most across it.
     if a <= b and a <= c:
