@@ -53,15 +53,15 @@ class Run:
     in_torsions : bool
         Whether hinges turn; otherwise all atoms move.
     tolerance : float, optional
-        That of the whole minimisation by default.
+        Default: the tolerance of the whole minimisation.
     patience : int
         As of :class:`Stage`.
     answer : callable
         As of :class:`Stage`.
     continued : bool
-        Whether to continue on the energy's double-precision reference where single precision ends.
+        Whether to continue on the energy's double-precision reference if single precision fails.
     by_springs : Method, optional
-        In place of ``method`` where the near terms of an energy are not known, as of a callable.
+        Replaces ``method`` if the near terms of an energy are not known, as of a callable.
     """
 
     method: Method
@@ -73,7 +73,7 @@ class Run:
     by_springs: Method | None = None
 
     def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
-        """Stage on an energy, and a second one on its reference if that is another engine."""
+        """Stage on an energy, and a second one on its reference if this is another engine."""
         tolerance = tolerance if self.tolerance is None else self.tolerance
         method = _add_tethers(self.method, tethers_in(restraint))
         stage = Stage(
@@ -84,8 +84,8 @@ class Run:
 
 
 def check_dihedrals(energy: Energy, subject: str) -> None:
-    """Refuse an energy without dihedral terms for what moves all atoms."""
-    # A System that the caller gave is as the caller wants it.
+    """Raise an error for a method that moves all atoms and an energy without dihedral terms."""
+    # A System of the caller is used as it is.
     if lacks_dihedrals(energy.system) and energy.atoms:
         raise ProtochainError(
             f"{subject} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
@@ -94,7 +94,7 @@ def check_dihedrals(energy: Energy, subject: str) -> None:
 
 
 def _add_tethers(method: Any, tether: Floats | None) -> Method:
-    """Method whose model of the Hessian has the springs of a restraint (na,), too."""
+    """Method whose model of the Hessian includes the springs (na,) of a restraint."""
     metric = getattr(getattr(method, "direction", None), "metric", None)
     has_stiffness = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
     if tether is None or not has_stiffness or not isinstance(metric, Stiffness):
@@ -110,18 +110,18 @@ class Recipe:
     Parameters
     ----------
     name : str
-        A method of ``METHODS``, or one of the user's own.
+        A method of ``METHODS``, or a custom one.
     runs : tuple of Run
-        One after the other, the last once for each restraint; none for methods of OpenMM.
+        In order of execution, the last once for each restraint. OpenMM's methods have none.
     parts_overlaps : bool
-        Whether overlapping atoms are separated first, near where they are, while springs hold all others;
-        of methods that turn hinges also large torques. KCM follows the torques alone.
+        Whether overlapping atoms are separated locally first, while springs restrain all others. Methods that
+        turn hinges do this also at large torques. KCM follows the torques alone.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
         Whether OpenMM's own minimiser runs.
     typical : int
-        Evaluations it usually takes to converge; 0 if they are not known, or usually all are used.
+        Usual evaluations to converge, or 0 if they are not known or usually all are used.
     """
 
     name: str
@@ -135,12 +135,12 @@ class Recipe:
     def keeps_geometry(self) -> bool:
         """Whether only hinges turn.
 
-        Bond lengths and angles are then untouched, except opened ones and where rings and disulfides close.
+        Bond lengths and angles are then constant, except opened ones and at closures of rings and disulfides.
         """
         return not self.by_openmm and all(run.in_torsions for run in self.runs)
 
     def tolerance(self, user_tolerance: float | None = None) -> float:
-        """Tolerance given, or the default for what moves in the last run."""
+        """Tolerance of the user, or the default for the freedoms of the last run."""
         default = defaults.TOLERANCE if self.keeps_geometry else defaults.TOLERANCE_IN_ALL_ATOMS
         return default if user_tolerance is None else user_tolerance
 
@@ -151,13 +151,13 @@ class Recipe:
 
     @property
     def states(self) -> tuple[type, ...]:
-        """Classes of the states that a checkpoint stores; none if a method names none."""
+        """Classes of the states that a checkpoint stores, or none if a method lists none."""
         classes = [getattr(run.method, "states", ()) for run in self.runs]
         return tuple(state for states in classes for state in states) if all(classes) else ()
 
     @property
     def moves_masses(self) -> bool:
-        """Whether bodies move in proportion to their masses: a fixed root would be one of infinite mass."""
+        """Whether bodies move in proportion to their masses. A fixed root would have infinite mass."""
         methods: list[Any] = [run.method for run in self.runs]
         metrics = [getattr(getattr(method, "direction", method), "metric", None) for method in methods]
         return any(isinstance(part, Annealing | Mass) for part in (*methods, *metrics))
@@ -165,8 +165,8 @@ class Recipe:
     def repeats_exactly(self, energy: Energy) -> bool:
         """Whether runs from one start are equal bit for bit.
 
-        OpenMM's CPU platform, which also runs OpenMM's methods, sums in no fixed order on several threads,
-        nor do its other devices.
+        OpenMM's CPU platform, which also runs OpenMM's methods, has no fixed order of sums on several
+        threads, nor do its other devices.
         """
         sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and not self.by_openmm)
         return not self.draws_random and sums_in_order and energy.device == "cpu"
@@ -192,7 +192,7 @@ class Recipe:
     ) -> list[Stage]:
         """Stages of this recipe.
 
-        ``reduced`` is the energy without terms that are constant in the chain, ``max_torque`` the largest
+        ``reduced`` is the energy without terms that are constant in the chain. ``max_torque`` is the largest
         torque at the start.
         """
         terms = near_terms(energy)
@@ -204,7 +204,7 @@ class Recipe:
             # Turned bonds have long levers.
             parts |= not max_torque <= STRAINED_TORQUE
         elif self.runs and not self.in_torsions:
-            # Not even free atoms come out of a ring by themselves.
+            # Even free atoms do not leave a ring by themselves.
             parts |= bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
@@ -237,7 +237,7 @@ _ALL_ATOMS = Run(
 _NEAR = replace(_ALL_ATOMS, method=replace(_LBFGS, direction=LBFGS(Damped(NEAR_REFRESH), NEAR_MEMORY)))
 
 HYBRID_TORQUE = 300.0
-"""kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
+"""kJ/mol/rad. Tolerance in torsions before all atoms move. The remaining strain is in bonds and angles."""
 
 
 _TYPICAL = {
@@ -258,7 +258,7 @@ def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
 
 
 ANGLE = 0.0005
-"""rad. Turn of the hinge of largest torque in a step of ``kcm``, and in the first of its adaptive kin."""
+"""rad. Turn of the hinge of largest torque in a step of ``kcm``, and in the first of adaptive variants."""
 ENTROPY_RATE = 0.5
 """nm/rad. Bound of ``kcm-entropy``. At a start, C-alphas move by 2 to 3 nm per radian (RMS) in ``kcm``."""
 
@@ -289,7 +289,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {recipe.name: replace(recipe, typical=_TYPICAL.get(recipe.name, recipe.typical)) for recipe in _TABLE}
 )
 """``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's minimiser and
-``openmm-md`` its constrained dynamics between two minimisations; all others turn hinges."""
+``openmm-md`` its constrained dynamics between two minimisations. All others turn hinges."""
 
 METHODS = tuple(RECIPES)
 
@@ -314,12 +314,12 @@ def kcm(
         by the contacts of each C-alpha), ``mass`` (RMS movement of all atoms, weighted by mass, nm) or
         ``turns`` (RMS turn, rad).
     turn_bound : float, optional, rad
-        Largest turn of any hinge in a step. Larger turns are cut.
+        Largest turn of any hinge in a step. Larger turns are limited to it.
 
     Returns
     -------
     Recipe
-        Its name has the settings, so that one comparison can have several.
+        Its name contains the settings, so that one comparison can have several.
 
     Raises
     ------
@@ -359,7 +359,7 @@ def _above_zero(value: Any, name: str) -> float:
 
 
 def at_angle(recipe: Recipe, angle: float) -> Recipe:
-    """Method of KCM that begins with another angle, or keeps to it: angle rad."""
+    """Method of KCM with another initial or fixed angle, rad."""
     if not 0.0 < number(angle, "angle") <= np.pi:
         raise refused("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
@@ -383,8 +383,8 @@ def recipe_of(method: Any) -> Recipe:
     ----------
     method : str, Recipe, or Method
         A name of ``METHODS``, the import path ``module:name`` of a method, or any object with ``init`` and
-        ``step`` (or a direction and a step rule in a :class:`Descent`), which minimises in torsions. One with
-        a field ``seed`` counts as random, and a dataclass is given the seed of its run.
+        ``step`` (or a direction and a step rule in a :class:`Descent`), which minimises in torsions. Objects
+        with a field ``seed`` count as random, and a dataclass receives the seed of its run.
 
     Returns
     -------
@@ -394,7 +394,7 @@ def recipe_of(method: Any) -> Recipe:
     Raises
     ------
     ProtochainError
-        If there is no such method.
+        If the method does not exist.
     """
     if isinstance(method, Recipe):
         return method

@@ -1,4 +1,4 @@
-"""Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
+"""Columns of a solution's record, from which terminal, CSV, JSON and pages are written."""
 
 from collections.abc import Iterable, Mapping
 from operator import attrgetter
@@ -66,13 +66,13 @@ COLUMNS = (
     Column("seed", lambda s: s.seed, kind=int),
     Column("threads", lambda s: s.energy_function.threads, kind=int | None),
 )
-"""In the order in which a reader looks at them."""
+"""Columns of a record, in reading order."""
 
 
 def _n_moving(solution: Any) -> int:
-    """Atoms that its method may move: those beyond hinges, selected ones where all atoms move, or both."""
+    """Atoms that its method may move: atoms beyond hinges, selected ones if all atoms move, or both."""
     chain, recipe = solution.chain, solution.recipe
-    if chain.move == defaults.MOVE:  # A fixed root is one's point of view then.
+    if chain.move == defaults.MOVE:  # A fixed root then only sets the frame.
         return int(chain.moving.sum())
     moved = np.zeros(chain.n_atoms, dtype=bool)
     if recipe.in_torsions:
@@ -89,6 +89,6 @@ SHORT_COLUMNS = tuple(column for column in COLUMNS if column.heading and column 
 def short_columns(
     records: Iterable[Mapping[Any, Any]], columns: Iterable[Column] = SHORT_COLUMNS
 ) -> tuple[Column, ...]:
-    """Columns of a short table of records, with those of ligands if there are any."""
+    """Columns of a short table of records, with columns of ligands if there are any."""
     rmsds = [record.get(LIGANDS[0].key) for record in records]
     return (*columns, *(LIGANDS if any(value is not None and value == value for value in rmsds) else ()))

@@ -1,4 +1,4 @@
-"""Restraints: energies that hold a run near its start or separate overlaps; no result contains them."""
+"""Restraints: energies that restrain a run to its start or separate overlaps. No result contains them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,10 +19,10 @@ from protochain.structure import Structure
 from protochain.structure.superpose import superpose
 
 SOFT_SHARE = 0.7
-"""Range of soft repulsion, as a share of the contact distance; hydrogen bonds are longer."""
+"""Range of soft repulsion, as a share of the contact distance. Hydrogen bonds are longer."""
 
 SOFT_STIFFNESS = 1e4
-"""kJ/mol/nm^2: an overlap of an angstrom costs 50 kJ/mol."""
+"""kJ/mol/nm^2. An overlap of an angstrom costs 50 kJ/mol."""
 
 SOFT_TETHER = 10.0
 """kJ/mol/nm^2 on each atom, so that separating overlaps moves little else."""
@@ -41,7 +41,7 @@ class Tethers:
 
     @classmethod
     def of_heavy_atoms(cls, structure: Structure, strength: float) -> "Tethers":
-        """Tether all atoms but hydrogens, strength in kJ/mol/nm^2."""
+        """Tether all atoms except hydrogens, strength in kJ/mol/nm^2."""
         return cls(structure.positions, np.where(structure.atom_element == "H", 0.0, strength))
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
@@ -53,7 +53,7 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it."""
+    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over atoms beyond it."""
 
     home: Floats  # (na, 3) nm.
     limit: float  # nm.
@@ -83,7 +83,7 @@ class Leash:
         return size, away / max(size * len(alpha), 1e-12)
 
     def allows(self, x: Floats) -> bool:
-        """Whether positions lie within the limit."""
+        """Whether positions are within the limit."""
         return ANGSTROM_PER_NM * self.rmsd(x)[0] <= self.limit
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
@@ -102,13 +102,13 @@ class SoftRepulsion:
     """Soft repulsion of overlapping atoms: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0."""
 
     structure: Structure
-    # (n, 2) int: Pairs of residues whose atoms do not repel each other.
+    # (n, 2) int: Pairs of residues without repulsion.
     passing: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     share: float = SOFT_SHARE  # Range r0, as a share of the contact distance.
     stiffness: float = SOFT_STIFFNESS  # kJ/mol/nm^2.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy and forces; none between atoms at one point, where the direction is undefined."""
+        """Energy and forces. Coinciding atoms have none, as the direction is undefined."""
         pairs, touch = near_pairs(self.structure, x, self.share)
         if len(self.passing):
             residue, n = self.structure.atom_residue, self.structure.n_residues
@@ -132,11 +132,11 @@ class UserRestraint:
     function: Force  # Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy and forces; an error names the callable that returns anything else."""
+        """Energy and forces. An error about other return values names the callable."""
         return call_user(self.function, x, self._name)
 
     def check(self, x: Floats) -> None:
-        """Refuse forces that are not those of the energy."""
+        """Raise an error if the forces do not match the energy."""
         check_forces(self.function, x, self._name)
 
     @property
@@ -157,7 +157,7 @@ class Sum:
 
 
 def tethers_in(restraint: Force | None) -> Floats | None:
-    """Stiffness (na,) in kJ/mol/nm^2 of the tethers in a restraint; None without any."""
+    """Stiffness (na,) in kJ/mol/nm^2 of the tethers in a restraint, or None without any."""
     parts = restraint.parts if isinstance(restraint, Sum) else [restraint]
     weights = [part.weight for part in parts if isinstance(part, Tethers)]
     return np.sum(weights, axis=0) if weights else None
@@ -167,7 +167,7 @@ def tethers_in(restraint: Force | None) -> Floats | None:
 class Hold:
     """Restraints of a minimisation to its start."""
 
-    # kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one after the other.
+    # kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, in this order.
     strengths: tuple[float, ...] = ()
     max_rmsd: float = np.inf  # angstrom: C-alpha RMSD to the start that may not be exceeded.
     term: Force | None = None  # Any other restraint: positions (na, 3) in nm to energy and forces.
@@ -182,7 +182,7 @@ class Hold:
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
-        """Read one strength, several, a string of them, a callable, or restraints, also of a file."""
+        """Read one strength, several, a string of them, a callable, or restraints, also from a file."""
         if callable(restraint):
             return cls((), max_rmsd, restraint)
         if are_restraints(restraint):
@@ -198,13 +198,13 @@ class Hold:
 
     @property
     def place(self) -> str:
-        """What of it holds a run in place to the end; empty for nothing."""
+        """Restraint that fixes a run in space to its end, in words, or empty."""
         if self.term is not None or self.listed:
             return "a restraint"
         return "springs to the start" if self.strengths and self.strengths[-1] > 0.0 else ""
 
     def restraints(self, structure: Structure) -> list[Force | None]:
-        """Energy of each restraint in turn; None where nothing is restrained."""
+        """Energies of restraints, one for each strength, or None for no restraint."""
         always: list[Force] = []
         if self.term is not None:
             always.append(UserRestraint(self.term))

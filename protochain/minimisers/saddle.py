@@ -1,10 +1,10 @@
-"""Whether a run ends in a minimum: the lowest eigenvalue of its Hessian, and the way off a saddle point.
+"""Whether a run ends in a minimum: the lowest eigenvalue of its Hessian, and steps off a saddle point.
 
-Davidson's method (J. Comput. Phys. 17:87, 1975): the subspace grows by the residual of the last estimate, in
-a metric that ranks soft directions, and each vector costs one product with the Hessian, a difference of
-torques, or of forces where all atoms move; what is in rad here is there 0.1 nm (``lever``). It begins
-with some vectors, and follows the second lowest estimate, too (as in Liu's block method): the lowest
-eigenvalue may hide behind it. The estimate is never below the eigenvalue.
+Davidson's method (J. Comput. Phys. 17:87, 1975): the residual of the last estimate extends the subspace, in a
+metric that ranks soft directions. Each vector costs one product with the Hessian, a difference of torques, or
+of forces if all atoms move. Lengths in rad correspond to 0.1 nm for all atoms (``lever``). The search begins
+with some vectors, and also follows the second lowest estimate (as in Liu's block method), as it may become
+the lowest eigenvalue. The estimate is never below the eigenvalue.
 """
 
 from collections.abc import Sequence
@@ -19,34 +19,34 @@ from protochain.minimisers.problem import Evaluation, Problem, Space
 from protochain.minimisers.stages import Stage
 
 TURN = 1e-4
-"""rad, of the largest freedom: step of the one-sided differences of torques that build the subspace."""
+"""rad, change of the largest freedom for one-sided differences of torques that build the subspace."""
 
 CENTRAL = 1e-3
-"""rad, of the largest freedom: step of the central difference that measures a curvature in doubt. It may be
-longer, as its error is of second order."""
+"""rad, change of the largest freedom for the central difference that measures an uncertain curvature. It may
+be longer, as its error is of second order."""
 
 SHARE = 0.002
-"""The search ends when the last vector lowered the estimate by less than this share, as would the next."""
+"""The search ends if the last vector lowered the estimate by less than this share, and the next one would."""
 
 STARTS, WEIGHT = 3, 0.3
-"""Vectors that the search begins with, and weight of the residual of the second lowest estimate.
+"""Initial vectors of the search, and weight of the residual of the second lowest estimate.
 
-With one vector, and the lowest alone, 3 of 15 peptides end at their second eigenvalue, up to twice the
-lowest: a soft turn of two hinges, each stiff, has hardly a part in the start. A start by the softest
-eigenvectors of the metric, pairs of the run, or the near terms' metric take fewer products on some proteins,
-and on others end twice too high, too."""
+With one vector, and the lowest estimate alone, 3 of 15 peptides end at their second eigenvalue, up to twice
+the lowest. The start has hardly any component along a soft turn of two hinges that are each stiff. The
+softest eigenvectors of the metric, pairs of the run, or the near terms' metric need fewer products on some
+proteins. On others they also end twice too high."""
 
 LEAST = 0.1
-"""kJ/mol/nm^2. Where all atoms move, eigenvalues nearer 0 count as 0: a hundred atoms that move by 0.1 nm
-each gain less than 0.05 kJ/mol."""
+"""kJ/mol/nm^2. If all atoms move, eigenvalues nearer 0 count as 0. A hundred atoms that move by 0.1 nm each
+gain less than 0.05 kJ/mol."""
 
 SIGN, SOFT = 1e-3, 2.0
-"""kJ/mol/rad^2. In torsions: error of a measured eigenvalue near 0, and the least of a clear minimum.
+"""kJ/mol/rad^2. In torsions: error of a measured eigenvalue near 0, and lower limit for a clear minimum.
 
 Dense Hessians of ends near a shoulder differ by up to 5.4e-4. Minima of peptides have 1.88 or more."""
 
 ALL_ATOMS_UP_TO = 1.0
-"""kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: they are on their way."""
+"""kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: no minima yet."""
 
 MOST = 100
 """Products of a search. A search that needs more reports an upper bound of the eigenvalue.
@@ -58,12 +58,12 @@ FIRST, SHORTEST, LONGEST = 0.1, 1e-3, 1.6
 """rad, of the largest freedom: first, shortest and longest turn off a saddle point."""
 
 ROUNDS = 4
-"""Saddle points that a run leaves; after that it ends at one."""
+"""Saddle points that a run may leave. Then it ends at one."""
 
 
 @dataclass(frozen=True)
 class Soft:
-    """Stiffness with nearly nothing added: it ranks soft directions."""
+    """Stiffness with a tiny floor, to rank soft directions."""
 
     refresh_every: int = 1_000_000_000  # Iterations between two computations of the matrix.
 
@@ -76,27 +76,27 @@ class Soft:
 class CurvatureState:
     """A search between two products."""
 
-    at: Evaluation  # The point looked at; after the last step, one down the slope from a saddle point.
+    at: Evaluation  # Point of the search; after the last step, a point below a saddle point.
     preconditioner: Preconditioner
-    vectors: tuple[Floats, ...] = ()  # vectors, products: Orthonormal, and the Hessian times each.
+    vectors: tuple[Floats, ...] = ()  # vectors, products: Orthonormal vectors, and the Hessian times them.
     products: tuple[Floats, ...] = ()
-    direction: Floats | None = None  # (n_v,): Of the lowest curvature found: a unit vector.
-    residuals: tuple[Floats, ...] = ()  # What is left of H v - ritz v for it, and for the second lowest.
-    # ritz, fall, doubt: Curvature along it, by how much the last vector lowered it, and how far the products
-    # are from symmetric there: they are differences of torques, which may be rounded.
+    direction: Floats | None = None  # (n_v,): Unit vector of lowest curvature so far.
+    residuals: tuple[Floats, ...] = ()  # H v - ritz v for it, and for the second lowest.
+    # ritz, fall, doubt: Curvature along it, its decrease by the last vector, and its uncertainty, from the
+    # asymmetry of the products: differences of torques are rounded.
     ritz: float = np.inf
     fall: float = np.inf
     doubt: float = 0.0
-    value: float | None = None  # The lowest eigenvalue; None while it is sought.
-    # is_saddle, confirmed, left: Whether it is a saddle point, whether lower points were sought beside it,
-    # and whether ``at`` is one.
+    value: float | None = None  # The lowest eigenvalue; None during the search.
+    # is_saddle, confirmed, left: Whether it is a saddle point, whether a lower point was searched, and
+    # whether ``at`` is this lower point.
     is_saddle: bool = False
     confirmed: bool = False
     left: bool = False
 
     @property
     def stop(self) -> Stop:
-        """Why the search ends."""
+        """Reason for the end of the search."""
         return Stop.SADDLE if self.is_saddle else Stop.NO_DESCENT
 
     @property
@@ -106,7 +106,7 @@ class CurvatureState:
 
     @property
     def eigenvalue_at_most(self) -> float | None:
-        """Upper limit of the lowest eigenvalue, where the search ended before it was found."""
+        """Upper limit of the lowest eigenvalue, if the search ended too early to find it."""
         enough = self.value is not None and not self.is_spent
         return None if enough or self.left or not np.isfinite(self.ritz) else self.ritz
 
@@ -119,44 +119,43 @@ class CurvatureState:
 
 @dataclass(frozen=True)
 class Curvature:
-    """Find the lowest eigenvalue of the Hessian at a point; from a saddle point step down to a lower one.
+    """Find the lowest eigenvalue of the Hessian at a point, and step from a saddle point to a lower point.
 
-    A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and below
-    -``SIGN`` or -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the
-    tolerance, or a root mean square displacement of less than 0.1 nm an RMS force. A shoulder in torsions is
-    left in the same way.
+    At a saddle point the torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and below
+    -``SIGN`` or -``LEAST``). In this direction, a turn of less than 1 rad causes a torque above the
+    tolerance, or an RMS displacement of less than 0.1 nm such an RMS force. A shoulder in torsions counts too.
     """
 
     tolerance: float  # Of the minimisation.
-    # Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left out.
+    # Whether only fixed atoms fix it in space: rigid motions, whose curvature is 0, are excluded.
     floats: bool = False
     leaves: bool = True  # Whether to step off a saddle point.
     metric: Soft = Soft()
     states = (CurvatureState,)
 
     def init(self, problem: Problem, at: Evaluation) -> CurvatureState:
-        """Begin with no vector."""
+        """Begin without vectors."""
         return CurvatureState(at, Preconditioner.first(self.metric, problem.space, at))
 
     def step(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
-        """State after one more product, the eigenvalue, or the step off; None when all is done."""
+        """State after one more product, the eigenvalue, or the step to a lower point, or None at the end."""
         if state.value is None:
             extended = self._extend_subspace(problem, state)
             return self._measure_eigenvalue(problem, state) if extended is None else extended
         if not state.is_saddle or state.confirmed:
             return None
-        # An energy in single precision, or a limit of the run, may know of no way down.
+        # With an energy in single precision, or a limit of the run, no lower point may exist.
         lower = step_off(problem, state.at, problem.space.lever * _largest_one(state.direction))
         if lower is None or not self.leaves:
             return replace(state, is_saddle=lower is not None, confirmed=True)
         return replace(state, at=lower, confirmed=True, left=True)
 
     def _extend_subspace(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
-        """State with one more vector; None if it has enough."""
+        """State with one more vector, or None if it has enough."""
         solve, at, n = state.preconditioner.solve, state.at, len(state.vectors)
         rigid = problem.space.motions_of_whole(at) if self.floats else ()
         if n < STARTS:
-            # Any start will do that has a part along the lowest: the metric makes it soft.
+            # Any start with a component along the lowest will do: the metric makes it soft.
             new = solve(np.random.default_rng(n).normal(size=len(at.torque)))
         else:
             new, second = (solve(residual) for residual in state.residuals)
@@ -176,11 +175,11 @@ class Curvature:
         return _add_vector(state, vector, product)
 
     def _measure_eigenvalue(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
-        """State with the eigenvalue; None if there is no direction to turn in."""
+        """State with the eigenvalue, or None without a direction."""
         if state.direction is None:
             return None
         value, is_shoulder, in_torsions = state.ritz, False, problem.space.lever == 1.0
-        # Clearly a minimum: no more need be spent on it.
+        # If this is clearly a minimum, no further evaluations are needed.
         if value < (SOFT if in_torsions else LEAST) or state.doubt > SHARE * value:
             turn = CENTRAL * problem.space.lever * _largest_one(state.direction)
             before, after = (_torque(problem, state.at, side * turn) for side in (-1.0, 1.0))
@@ -192,7 +191,7 @@ class Curvature:
 
 
 def _torque(problem: Problem, at: Evaluation, step: Floats) -> Floats:
-    """Torque (n_v,) after a step (n_v,), along the freedoms before it."""
+    """Torque (n_v,) after a step (n_v,), along the freedoms before the step."""
     after = problem.evaluate(problem.move(at.q, step))
     return problem.space.transport_torque(after.torque, after.pose, at.pose)
 
@@ -205,7 +204,7 @@ def _is_shoulder(turn: Floats, *torques: Floats) -> bool:
 
 
 def step_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:
-    """Point below a saddle point, on the lower of its two sides; None if none is found: direction (n_v,)."""
+    """Point below a saddle point, on the lower side along a direction (n_v,), or None if there is none."""
 
     def point_at(angle: float) -> Evaluation | None:
         point = problem.evaluate(problem.move(at.q, angle * direction))
@@ -228,11 +227,11 @@ def step_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation 
 
 
 def with_curvature(plan: Sequence[Stage], floats: bool) -> list[Stage]:
-    """Plan of a run that looks whether its end is a minimum, and leaves a saddle point."""
+    """Plan of a run that checks whether its end is a minimum, and leaves a saddle point."""
     final = plan[-1]
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.CIRCLING)
     method = Curvature(final.tolerance, floats)
-    # The answer is the point that was looked at, or the lower one outside it.
+    # The answer is the point of the search, or the lower point.
     look = replace(
         final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, after=ends,
         answer=lambda problem, ending, q: ending.last.state.at.q, name="looking for a saddle point",
@@ -264,7 +263,7 @@ def _add_vector(state: CurvatureState, vector: Floats, product: Floats) -> Curva
 
 
 def _orthonormal(vector: Floats, basis: Sequence[Floats]) -> Floats | None:
-    """Part of a vector across others, of length 1; None if nothing is left of it."""
+    """Unit vector along the component of a vector orthogonal to others, or None if this vanishes."""
     remainder = vector / np.linalg.norm(vector)
     for _ in range(2):
         for basis_vector in basis:
