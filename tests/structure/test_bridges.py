@@ -579,7 +579,7 @@ def residue(name, *atoms, number=1):
 
 
 def told(found):
-    return found.residue.name, found.altloc, found.occupancy, found.others, found.repeated
+    return found.residue.name, found.altloc, found.occupancy, found.unused_altlocs, found.repeated
 
 
 def test_one_location_is_kept_with_what_all_share_and_what_only_another_has():

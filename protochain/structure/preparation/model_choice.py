@@ -1,4 +1,4 @@
-"""What of a file is used: an assembly, a model, chains, and one conformation of each residue."""
+"""Choice of assembly, model, chains, and one conformation of each residue in a file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,19 +22,19 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Omi
 MODELS = "models"
 """Name of the assembly of all models of a file."""
 _SAME = 0.02
-"""Angstrom: copies differ by the digits of a file alone; models of an experiment by more."""
+"""Angstrom. Copies differ only by rounding in the file, models of an experiment by more."""
 _UPON, _EXCLUDED = 1.0, 2.0
-"""Angstrom: atoms nearer than this are not there at once, and ions further from others."""
+"""Angstrom. Atoms closer than the first, or ions closer than the second, exclude each other."""
 _SHARED = 0.05
-"""The largest share of atoms in one place in copies."""
+"""Largest fraction of overlapping atoms in copies."""
 _TOGETHER = 2.5
-"""Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
+"""Angstrom. Alternate locations closer than this belong to one state or exclude each other."""
 _WHOLE = "whole-"
-"""Letter of a molecule that is there in part, as all alternate locations are, but has none."""
+"""Prefix of the letter of a molecule with partial occupancy but without altloc."""
 
 
 def build_assembly(draft: Draft) -> Changes:
-    """Build a biological assembly in the place of the molecules as filed, or join its models."""
+    """Replace the deposited molecules by a biological assembly, or join the models."""
     structure, name = draft.file, draft.reading.assembly
     if name:
         before = {chain.name for chain in structure[0]}
@@ -45,11 +45,11 @@ def build_assembly(draft: Draft) -> Changes:
 
 
 def _transform(draft: Draft, structure: gemmi.Structure, name: str) -> None:
-    """Build an assembly that the file states."""
-    there = [each.name for each in structure.assemblies]
-    if name not in there:
-        known = f"it has {', '.join(there)}" if there else "it states none"
-        raise StructureError(f"{draft.source}: has no assembly {name}; {known}")
+    """Build an assembly that is defined in the file."""
+    assembly_names = [assembly.name for assembly in structure.assemblies]
+    if name not in assembly_names:
+        available = f"it has {', '.join(assembly_names)}" if assembly_names else "it states none"
+        raise StructureError(f"{draft.source}: has no assembly {name}; {available}")
     structure.transform_to_assembly(name, gemmi.HowToNameCopiedChain.Short)
     structure.merge_chain_parts()
 
@@ -77,26 +77,26 @@ def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
 
 
 def _are_copies(structure: gemmi.Structure) -> bool:
-    """Whether all models are rigid copies of the first beside it, as assemblies in the PDB format.
+    """Return whether all models are displaced rigid copies of the first, as assemblies in PDB format.
 
-    Frames of a rigid body overlap. Copies share no more than what lies on an axis of symmetry.
+    Frames of a rigid body overlap. Copies share only atoms on an axis of symmetry.
     """
     models = [[*model.all()] for model in structure]
-    named = [[(str(p.residue.seqid), p.residue.name, p.atom.name) for p in model] for model in models]
+    atom_ids = [[(str(p.residue.seqid), p.residue.name, p.atom.name) for p in model] for model in models]
     first = [place.atom.pos for place in models[0]]
     tree = KDTree([position.tolist() for position in first])
-    for names, model in zip(named[1:], models[1:], strict=True):
+    for names, model in zip(atom_ids[1:], models[1:], strict=True):
         places = [place.atom.pos for place in model]
-        if names != named[0] or gemmi.superpose_positions(first, places).rmsd > _SAME:
+        if names != atom_ids[0] or gemmi.superpose_positions(first, places).rmsd > _SAME:
             return False
-        apart, _ = tree.query([position.tolist() for position in places])
-        if np.mean(apart < _UPON) > _SHARED:
+        distance, _ = tree.query([position.tolist() for position in places])
+        if np.mean(distance < _UPON) > _SHARED:
             return False
     return True
 
 
 def choose_model(draft: Draft) -> Changes:
-    """Use the model that is asked for, or the first; report the others."""
+    """Use the requested model, or the first, and report the other models."""
     structure, number = draft.file, draft.reading.model
     draft.header = read_header(structure, draft.header)
     numbers = [model.num for model in structure]
@@ -114,70 +114,70 @@ def choose_model(draft: Draft) -> Changes:
 
 
 def choose_chains(draft: Draft) -> Changes:
-    """Use the chains that are asked for, or all, in the order of the file."""
+    """Use the requested chains, or all, in the order of the file."""
     names = draft.reading.chains
     for chain in draft.model:
         chain.name = chain.name.strip()
-    there = [chain.name for chain in draft.model]
-    absent = next((name for name in names if name not in there), None)
+    ids = [chain.name for chain in draft.model]
+    absent = next((name for name in names if name not in ids), None)
     if absent is not None:
-        known = ", ".join(name or "(blank)" for name in dict.fromkeys(there))
-        raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {known}")
+        available = ", ".join(name or "(blank)" for name in dict.fromkeys(ids))
+        raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {available}")
     draft.chains = [chain for chain in draft.model if not names or chain.name in names]
     refuse_copies(draft.chains, draft.source)
-    if n := len(there) - len(draft.chains):
+    if n := len(ids) - len(draft.chains):
         yield Omission("chains", n)
 
 
 def choose_altlocs(draft: Draft) -> Changes:
-    """Choose one state of the residues that touch; of two that are never there at once, leave out one."""
+    """Choose one state for residues in contact. If two molecules exclude each other, remove one."""
     places = [(chain.name, group) for chain in draft.chains for group in group_alternates(chain)]
-    letters, gives_way = resolve_altlocs([group for _, group in places], draft.reading.altloc)
+    letters, discarded = resolve_altlocs([group for _, group in places], draft.reading.altloc)
     draft.places = {chain.name: [] for chain in draft.chains}
     for k, (name, group) in enumerate(places):
-        if k not in gives_way:
+        if k not in discarded:
             draft.places[name].append((group, letters[k]))
             continue
         yield Omission("alternate locations", 1)
-        residue, other = (residue_in_file(places[p][0], places[p][1][0]) for p in (k, gives_way[k]))
+        residue, retained = (residue_in_file(places[p][0], places[p][1][0]) for p in (k, discarded[k]))
         if not group[0].is_water():
-            yield Repair.of(Kind.EXCLUDED, residue=residue, other=other, occupancy=group[0][0].occ)
+            yield Repair.of(Kind.EXCLUDED, residue=residue, other=retained, occupancy=group[0][0].occ)
 
 
 def residue_in_file(chain: str, residue: gemmi.Residue) -> Residue:
-    """What a file calls a residue."""
+    """Return a residue with its names in the file."""
     return Residue(chain, str(residue.seqid).strip(), residue.name)
 
 
-def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:
-    """Refuse the first model asked for that is not among those of a file."""
-    absent = next((number for number in asked if number not in numbers), None)
+def refuse_absent(source: str, numbers: Sequence[int], requested: Sequence[int]) -> None:
+    """Refuse the first requested model number that a file does not have."""
+    absent = next((number for number in requested if number not in numbers), None)
     if absent is not None:
         in_row = list(numbers) == list(range(numbers[0], numbers[-1] + 1))
         listed = f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
-        its = f"its only model is {numbers[0]}" if len(numbers) == 1 else f"its models are {listed}"
-        raise StructureError(f"{source}: has no model {absent}; {its}")
+        available = f"its only model is {numbers[0]}" if len(numbers) == 1 else f"its models are {listed}"
+        raise StructureError(f"{source}: has no model {absent}; {available}")
 
 
 @dataclass(frozen=True, eq=False)
 class Conformation:
-    """Chosen conformation of a residue."""
+    """Selected conformation of a residue."""
 
     residue: gemmi.Residue  # Without alternate locations.
     altloc: str
-    occupancy: float  # Mean over the atoms of the chosen location.
-    others: list[str]  # Alternates left out: ``SER B``.
+    occupancy: float  # Mean over the atoms of the selected location.
+    unused_altlocs: list[str]  # Names and letters: ``SER B``.
     repeated: list[str]  # Names of atoms that occurred more than once.
 
 
 def group_alternates(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
-    """Group copies of residues that share a number, the alternatives of microheterogeneity."""
+    """Group the residues of a chain that share a number and have altlocs, as in microheterogeneity."""
     groups: list[list[gemmi.Residue]] = []
     amino: dict[str, list[gemmi.Residue]] = {}
     for residue in map(gemmi.Residue.clone, chain):
         number, has_altloc = str(residue.seqid), residue[0].has_altloc()
         if has_altloc and number in amino and residue.get_ca():
-            # Of two states, the first may be whole before the second begins.
+            # All atoms of one state may precede the atoms of the next.
             amino[number].append(residue)
         elif groups and groups[-1][0].seqid == residue.seqid and has_altloc:
             groups[-1].append(residue)
@@ -189,7 +189,7 @@ def group_alternates(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
 
 
 class _Partial(NamedTuple):
-    """An atom that is there in one state: its place, letter, occupancy, and position (angstrom)."""
+    """Atom of one state: index of the residue group, altloc letter, occupancy, position (angstrom)."""
 
     place: int
     letter: str
@@ -197,12 +197,15 @@ class _Partial(NamedTuple):
     x: list[float]
 
 
-def resolve_altlocs(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
-    """Choose one state of those places that touch: the letter of most molecules, then occupancy."""
-    letters, gives_way = [asked] * len(places), dict[int, int]()
+def resolve_altlocs(places: Sequence[list[gemmi.Residue]], altloc: str) -> tuple[list[str], dict[int, int]]:
+    """Choose altlocs of groups in contact: the letter of most molecules, then of highest occupancy.
+
+    Return the letter of each group, and by index of each discarded group the group that excludes it.
+    """
+    letters, discarded = [altloc] * len(places), dict[int, int]()
     atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
     if not atoms:
-        return letters, gives_way
+        return letters, discarded
     touching = [
         (atoms[i], atoms[j], length)
         for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_TOGETHER)
@@ -214,59 +217,59 @@ def resolve_altlocs(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[
     ]
     pairs = np.array([(a.place, b.place) for a, b, _ in touching], dtype=np.int64).reshape(-1, 2)
     group = components(pairs, len(places))
-    for its in np.unique(group[pairs]).tolist():
-        mine = [atom for atom in atoms if group[atom.place] == its]
+    for g in np.unique(group[pairs]).tolist():
+        group_atoms = [atom for atom in atoms if group[atom.place] == g]
         occupancies: dict[str, list[float]] = {}
-        having: dict[str, set[int]] = {}
-        for atom in mine:
+        places_with: dict[str, set[int]] = {}
+        for atom in group_atoms:
             occupancies.setdefault(atom.letter, []).append(atom.occupancy)
             is_water = places[atom.place][0].is_water()
-            having.setdefault(atom.letter, set()).update([] if is_water else [atom.place])
-        rank = {each: (each == asked, len(having[each]), np.mean(occupancies[each])) for each in having}
-        for atom in mine:
+            places_with.setdefault(atom.letter, set()).update([] if is_water else [atom.place])
+        rank = {a: (a == altloc, len(places_with[a]), np.mean(occupancies[a])) for a in places_with}
+        for atom in group_atoms:
             letters[atom.place] = max(rank, key=rank.__getitem__)
-    there = {(atom.place, atom.letter) for atom in atoms}
+    present = {(atom.place, atom.letter) for atom in atoms}
     for a, b, length in touching:
         for first, second in ((a, b), (b, a)):
-            has, lacks = ((each.place, letters[each.place]) in there for each in (first, second))
+            has, lacks = ((atom.place, letters[atom.place]) in present for atom in (first, second))
             if (
                 first.letter == letters[first.place] and has and not lacks
                 and length < (_EXCLUDED if len(places[second.place][0]) == 1 else _UPON)
                 and not places[second.place][0].get_ca()
             ):  # fmt: skip
-                gives_way[second.place] = first.place
-    return letters, gives_way
+                discarded[second.place] = first.place
+    return letters, discarded
 
 
 def _partial(place: int, group: list[gemmi.Residue]) -> Iterator[_Partial]:
-    """Heavy atoms of a place that another state lacks: all, of a molecule with part of the occupancy."""
+    """Yield heavy atoms with altlocs, or all of a molecule with partial occupancy and without altlocs."""
     heavy = [atom for residue in group for atom in residue if not atom.is_hydrogen()]
-    whole = not any(atom.has_altloc() for atom in heavy) and not group[0].get_ca()
+    is_molecule = not any(atom.has_altloc() for atom in heavy) and not group[0].get_ca()
     for atom in heavy:
-        if atom.has_altloc() or (whole and 0.0 < atom.occ < 1.0):
+        if atom.has_altloc() or (is_molecule and 0.0 < atom.occ < 1.0):
             letter = atom.altloc if atom.has_altloc() else f"{_WHOLE}{place}"
             yield _Partial(place, letter, atom.occ, atom.pos.tolist())
 
 
 def _check_altloc(draft: Draft) -> None:
     """Refuse an alternate location that no atom has."""
-    asked = draft.reading.altloc
-    found = {cra.atom.altloc for cra in draft.model.all() if cra.atom.has_altloc()}
-    if asked and asked not in found:
-        there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
+    altloc = draft.reading.altloc
+    altlocs = {cra.atom.altloc for cra in draft.model.all() if cra.atom.has_altloc()}
+    if altloc and altloc not in altlocs:
+        available = f"its atoms have {', '.join(sorted(altlocs))}" if altlocs else "no atom of it has one"
         raise StructureError(
-            f"{draft.source}: has no alternate location {asked!r}: {there}; change or omit ",
+            f"{draft.source}: has no alternate location {altloc!r}: {available}; change or omit ",
             Argument("altloc"),
         )
 
 
 def correct_atoms(draft: Draft) -> Changes:
-    """Correct occupancies that no file can have, deuterium, and elements that names contradict."""
+    """Correct invalid occupancies, deuterium, and elements that contradict atom names."""
     unknown = 0
     for place in draft.model.all():
         atom = place.atom
         atom.b_iso = atom.b_iso if isfinite(atom.b_iso) else nan
-        if not abs(atom.occ) < 1000.0:  # Or no columns of the PDB format hold it.
+        if not abs(atom.occ) < 1000.0:  # Larger values do not fit the PDB columns.
             unknown += 1
             atom.occ = 0.0
     if unknown:
@@ -278,37 +281,37 @@ def correct_atoms(draft: Draft) -> Changes:
 
 
 def _replace_deuterium(model: gemmi.Model) -> int:
-    """Make hydrogens of deuterium atoms of a model, by element and name, and return how many there are."""
+    """Convert deuterium to hydrogen, in element and name, and return the number of atoms."""
     heavy = [place for place in model.all() if place.atom.element.name == "D"]
     for place in heavy:
         place.atom.element = gemmi.Element("H")
         name = place.atom.name.replace("D", "H", 1)
         namesakes = [atom for atom in place.residue if atom.name == name]
-        # Of a hydrogen and a deuterium on one place each is an alternate location.
-        if all(each.has_altloc() and each.altloc != place.atom.altloc for each in namesakes):
+        # Hydrogen and deuterium at one site are alternate locations.
+        if all(namesake.has_altloc() and namesake.altloc != place.atom.altloc for namesake in namesakes):
             place.atom.name = name
     return len(heavy)
 
 
 def _correct_elements(model: gemmi.Model) -> list[Atom]:
-    """Give atoms of standard residues the elements of their names; return those that had another."""
-    known = {name: its for name, its in templates().items() if name in {*STANDARD, *STATE_PARENT}}
-    found = []
+    """Set the elements of atoms of standard residues by name, and return the corrected atoms."""
+    standard = {name: t for name, t in templates().items() if name in {*STANDARD, *STATE_PARENT}}
+    corrected = []
     for place in model.all():
         chain, residue, atom = place.chain, place.residue, place.atom
-        if (its := known.get(residue.name)) is None:
+        if (template := standard.get(residue.name)) is None:
             continue
-        element = its.element.get(its.synonyms.get(atom.name, atom.name), atom.element.name)
+        element = template.element.get(template.synonyms.get(atom.name, atom.name), atom.element.name)
         if element != atom.element.name:
             atom.element = gemmi.Element(element)
-            found.append(
+            corrected.append(
                 Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))
             )
-    return found
+    return corrected
 
 
-def pick_altloc(group: list[gemmi.Residue], asked: str) -> Conformation:
-    """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
+def pick_altloc(group: list[gemmi.Residue], preferred: str) -> Conformation:
+    """Choose the preferred altloc, or the one of highest occupancy (the first of equal ones)."""
     names = [atom.name for atom in group[0] if not atom.has_altloc()]
     if len(group) == 1 and len({*names}) == len(group[0]):
         return Conformation(group[0], "", 1.0, [], [])
@@ -317,29 +320,29 @@ def pick_altloc(group: list[gemmi.Residue], asked: str) -> Conformation:
         for atom in residue:
             if atom.has_altloc():
                 weights.setdefault((i, atom.altloc), []).append(atom.occ)
-    wanted = [place for place in weights if place[1] == asked]
-    best, altloc = max(wanted or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
+    matching = [place for place in weights if place[1] == preferred]
+    best, altloc = max(matching or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
     chosen = group[best]
     _complete_backbone(chosen, group)
-    # Atoms that only another location has are kept; of two with one name, the first.
+    # Keep atoms that only another location has, and the first of two with one name.
     ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
-    kept: dict[str, int] = {}
+    index_of: dict[str, int] = {}
     for i in ranked:
-        kept.setdefault(chosen[i].name, i)
-    repeated = sorted({chosen[i].name for i in set(ranked) - set(kept.values())})
-    # Hydrogens of another location are dropped: their parent atom lies elsewhere there.
+        index_of.setdefault(chosen[i].name, i)
+    repeated = sorted({chosen[i].name for i in set(ranked) - set(index_of.values())})
+    # Delete hydrogens of another location, because their parent atom has another position there.
     of_others = [i for i in ranked if chosen[i].is_hydrogen() and chosen[i].altloc not in (altloc, "\0")]
-    for i in sorted({*(set(ranked) - set(kept.values())), *of_others}, reverse=True):
+    for i in sorted({*(set(ranked) - set(index_of.values())), *of_others}, reverse=True):
         del chosen[i]
     for atom in chosen:
         atom.altloc = "\0"
-    others = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
+    unused = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
     occupancy = float(np.mean(weights.get((best, altloc), [1.0])))
-    return Conformation(chosen, altloc, occupancy, others, repeated)
+    return Conformation(chosen, altloc, occupancy, unused, repeated)
 
 
 def _complete_backbone(chosen: gemmi.Residue, group: list[gemmi.Residue]) -> None:
-    """Add shared backbone atoms that the file gives with one of the alternatives only."""
+    """Add shared backbone atoms that the file lists with only one of the alternatives."""
     for residue in group:
         present = {atom.name for atom in chosen}
         for atom in residue:

@@ -100,8 +100,8 @@ def split_chains(draft: Draft) -> Changes:
             notes = _report_altlocs(chain, conformer)
             if naming[0] in {*residues.CAPS, *residues.STANDARD} or archive_parent(naming[0]):
                 yield from notes
-                if conformer.others:
-                    yield Omission("alternate locations", len(conformer.others))
+                if conformer.unused_altlocs:
+                    yield Omission("alternate locations", len(conformer.unused_altlocs))
                 elif conformer.repeated:
                     yield Omission("repeated atoms", len(conformer.repeated))
                 notes = []
@@ -118,15 +118,15 @@ def split_chains(draft: Draft) -> Changes:
 
 def _report_altlocs(chain: str, conformer: Conformation) -> list[Repair]:
     """Report the choice among the alternate locations of a residue."""
-    if not (conformer.others or conformer.repeated):
+    if not (conformer.unused_altlocs or conformer.repeated):
         return []
     residue = residue_in_file(chain, conformer.residue)
-    if not conformer.others:
+    if not conformer.unused_altlocs:
         return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(conformer.repeated))]
     return [
         Repair.of(
             Kind.ALTERNATES, residue=residue, used=conformer.altloc, occupancy=conformer.occupancy,
-            others=tuple(conformer.others),
+            others=tuple(conformer.unused_altlocs),
         )
     ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Molecules of a file while they are prepared, and the options of a preparation."""
+"""Data model of a preparation: options, and the molecules of a file while passes complete them."""
 
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping, Sequence
@@ -28,25 +28,25 @@ from protochain.structure.molecule.templates import (
 )
 
 ChargedMolecule = tuple[Molecule, tuple[Charged, ...]]
-"""A molecule as it is at a pH, and what was charged."""
+"""A molecule at a pH, and the atoms whose charges the pH changed."""
 
 
 @dataclass(frozen=True)
 class Chemistry:
-    """Where the chemistry of molecules kept with the protein comes from."""
+    """Sources and options of the chemistry of hetero molecules."""
 
-    # What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
+    # User input: residue name (empty for an added pose), and SMILES or path.
     sources: tuple[checks.LigandSource, ...] = ()
     charges: str = defaults.LIGAND_CHARGES  # As for :func:`protochain.ligand`.
     ph: float = defaults.PH
-    has_glycam: bool = True  # Whether the force field is one that GLYCAM-06j goes with.
-    has_sage: bool = True  # Whether it is one that Sage goes with where molecules are bonded to residues.
-    # Poses that were added, by the name of the residue.
+    has_glycam: bool = True  # Whether the force field is compatible with GLYCAM-06j.
+    has_sage: bool = True  # Whether it is compatible with Sage for molecules bonded to residues.
+    # Added poses by residue name.
     posed: Mapping[str, ChargedMolecule] = field(default_factory=dict, compare=False)
 
     @classmethod
     def parse(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
-        """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
+        """Check the options of :func:`protochain.load`. ``forcefield`` lists the parts of a force field."""
         sources = checks.ligands(ligands, "ligands")
         charges = checks.charges_of_ligands(ligand_charges, "ligand_charges")
         glycam = not forcefield or HAS_GLYCAM in forcefield
@@ -54,43 +54,40 @@ class Chemistry:
 
     @property
     def user_sources(self) -> dict[str, str]:
-        """What is given, by the name of the residue."""
+        """SMILES or paths from the user, by residue name."""
         return {name: source for name, source in self.sources if name}
 
     @property
     def moving(self) -> set[str]:
-        """Names of residues that are to move, whatever else is kept."""
+        """Names of residues that must move."""
         return {*self.user_sources, *self.posed}
 
     @property
     def poses(self) -> list[str]:
-        """Paths of the molecules to add."""
+        """Paths of the poses to add."""
         return [source for name, source in self.sources if not name]
 
 
 DEFAULT_CHEMISTRY = Chemistry()
-"""Of the file, or of the dictionary."""
+"""Chemistry without user input: from the file or the component dictionary."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Options of a preparation, as those of :func:`protochain.load`."""
+    """Options of a preparation, as in :func:`protochain.load`."""
 
     model: int | None = None  # Number of the model in the file; the first by default.
-    # Preferred alternate location, which some atom must have; by default, and where it is absent, the one of
-    # highest occupancy.
-    altloc: str = ""
-    # Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
-    keep: tuple[str, ...] = ()
-    strict: bool = False  # Refuse chain breaks and residues that would be left out of a chain.
-    # Force-field files whose residues are recognised besides the bundled ones.
+    altloc: str = ""  # Preferred altloc, which an atom must have. Default: highest occupancy.
+    keep: tuple[str, ...] = ()  # Hetero molecules to include, as in :func:`protochain.load`.
+    strict: bool = False  # Refuse chain breaks and residues that would be removed from a chain.
+    # Force-field files whose residues are recognised in addition to the bundled ones.
     forcefield: tuple[Path, ...] = ()
-    chains: tuple[str, ...] = ()  # Names of the chains to take; all by default.
+    chains: tuple[str, ...] = ()  # Names of the chains to use. All by default.
     chemistry: Chemistry = DEFAULT_CHEMISTRY  # Of ligands.
-    # Convert modified residues to their standard parents, also those that have parameters.
+    # Convert modified residues to their standard parents, also if parameters are available.
     standard_residues: bool = False
-    assembly: str = ""  # Name of the biological assembly to build; none by default.
-    disulfide: tuple[checks.Bond, ...] = ()  # Disulfide bonds that are asked for.
+    assembly: str = ""  # Name of the biological assembly to build. None by default.
+    disulfide: tuple[checks.Bond, ...] = ()  # Requested disulfide bonds.
     ph: float | str = defaults.PH
 
     def __post_init__(self) -> None:
@@ -102,15 +99,15 @@ class Reading:
 
 @dataclass(eq=False)
 class HeteroResidue:
-    """A residue that is no part of the protein."""
+    """A residue outside the protein."""
 
     member: Member
-    raw_name: str  # Its name in the file.
-    notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
+    raw_name: str  # Name in the file.
+    notes: list[Repair] = field(default_factory=list)  # Repairs to report if the residue is used.
 
     @property
     def kind(self) -> str:
-        """Kind, as a word of ``KINDS``."""
+        """Kind of molecule, one of ``KINDS``."""
         if self.member.name == "HOH":
             return "water"
         if len(self.member.atoms) == 1:
@@ -119,18 +116,18 @@ class HeteroResidue:
 
 
 class Role(Enum):
-    """What a molecule is, and so whether it moves."""
+    """Role of a molecule, which determines whether it moves."""
 
     PROTEIN = "protein"
     NUCLEIC = "nucleic"  # A strand, which moves.
-    GLYCAN = "glycan"  # It moves with the residue that bears it.
+    GLYCAN = "glycan"  # It moves with the glycosylated residue.
     FLEXIBLE = "flexible"  # Another molecule that moves.
     FIXED = "fixed"
-    TIED = "tied"  # Fixed, though its parameters are known: it is bonded to another molecule.
+    TIED = "tied"  # Fixed although parameters are known, because springs bond it to another molecule.
 
 
 class Evidence(Enum):
-    """What is known of a molecule, with the role that it gives; each pass that learns more replaces it."""
+    """Evidence for the role of a molecule. Passes replace it when they learn more."""
 
     CHAIN = Role.PROTEIN, "amino acids that are bonded to one another"
     NUCLEOTIDES = Role.NUCLEIC, "the force field has every nucleotide of the strand"
@@ -149,46 +146,45 @@ class Evidence(Enum):
 
 @dataclass(eq=False)
 class Part:
-    """Unbroken chain, or a molecule kept with the protein."""
+    """Unbroken chain, or a hetero molecule."""
 
     chain_id: str
     members: list[Member]
-    evidence: Evidence = Evidence.CHAIN  # What is known of it, which gives its role.
-    ligand: Ligand | None = None  # Chemistry and parameters of such a ligand, under the names of its atoms.
-    # Its stereocentres, and double bonds, that the file has the other way round.
-    inverted: tuple[str, ...] = ()
-    posed: bool = False  # Whether it is a pose that was added.
+    evidence: Evidence = Evidence.CHAIN  # Determines the role.
+    ligand: Ligand | None = None  # Chemistry and parameters of a ligand, with the atom names of the file.
+    inverted: tuple[str, ...] = ()  # Stereocentres and double bonds that are inverted in the file.
+    posed: bool = False  # Whether this is an added pose.
     cyclic: bool = False  # Whether the last residue is bonded to the first.
-    glycam_code: str = ""  # Of a sugar of a glycan that moves.
+    glycam_code: str = ""  # Code of a sugar in a mobile glycan.
 
     @property
     def obstacle(self) -> bool:
-        """Whether it is kept with the protein: fixed, unless it is mobile."""
+        """Whether this is a hetero molecule. It is fixed unless it is mobile."""
         return self.evidence.role is not Role.PROTEIN
 
     @property
     def mobile(self) -> bool:
-        """Whether it is kept with the protein, and moves."""
+        """Whether this is a hetero molecule that moves."""
         return self.evidence.role in (Role.NUCLEIC, Role.GLYCAN, Role.FLEXIBLE)
 
     @property
     def is_strand(self) -> bool:
-        """Whether it is of nucleotides, also modified ones."""
+        """Whether this is a strand of nucleotides, which may be modified."""
         return self.members[0].name in residues.NUCLEOTIDES or (self.obstacle and len(self.members) > 1)
 
     def neighbours(self, i: int) -> tuple[Member | None, Member | None]:
-        """Residues before and after one, if there are any."""
+        """Return the previous and the next residue of residue i."""
         n = len(self.members)
         before = self.members[i - 1] if i or self.cyclic else None
         return before, self.members[(i + 1) % n] if i + 1 < n or self.cyclic else None
 
     def template(self, force_field: Mapping[str, Template], i: int, state: str = "") -> Template | None:
-        """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
+        """Return the template of residue i in a protonation state or the usual one. Ends: N, C, 5, 3."""
         member = self.members[i]
         if isinstance(member.source, Template):
             return member.source
         name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-        # An end that is bonded to a molecule outside the chain is none.
+        # An end bonded to a molecule outside the chain has no end template.
         linked = {atom.name for atom in member.links}
         ends = (i == 0 and not linked & {"N", "P"}, i == len(self.members) - 1 and not linked & {"C", "O3'"})
         if ends == (True, False) and member.name in residues.NUCLEOTIDES and member.atom("P"):
@@ -204,75 +200,74 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Fragment:
-    """Residues that no template fits, as one molecule, with caps where chains go on."""
+    """Residues without matching templates, as one molecule with caps at continuing chains."""
 
     ligand: Ligand  # Chemistry and parameters.
-    # Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for none.
+    # Residue and name of each atom of the molecule. None for cap atoms that represent no residue.
     owners: tuple[tuple[Member | None, str], ...]
-    core: tuple[str, ...]  # What the force field calls each atom that keeps its parameters; empty for others.
-    # Its bonds otherwise than along a chain, and the atoms that left there.
+    core: tuple[str, ...]  # Force-field name of each atom with the parameters of its template, or empty.
+    # Bonds other than along a chain, and the leaving atoms of each.
     bonds: Mapping[Link, tuple[tuple[Member, str], ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Close pairs of atoms of the protein and molecules outside it, as they are before their chemistry."""
+    """Close pairs of protein and hetero atoms before the assignment of chemistry."""
 
     protein: list[tuple[Member, gemmi.Atom]] = field(default_factory=list)  # Heavy atoms.
-    spring_links: list[Link] = field(default_factory=list)  # Bonds that the file says springs hold.
-    refused: list[tuple[Link, str]] = field(default_factory=list)  # Bonds of the file that cannot be.
-    overlapping: list[Link] = field(default_factory=list)  # As near as bonded atoms, and not bonded.
+    spring_links: list[Link] = field(default_factory=list)  # Bonds for which the file lists springs.
+    refused: list[tuple[Link, str]] = field(default_factory=list)  # Impossible bonds of the file.
+    overlapping: list[Link] = field(default_factory=list)  # At bonding distance but not bonded.
 
 
 class Omission(NamedTuple):
-    """Molecules or atoms of a file that a pass removes without a repair of their own."""
+    """Molecules or atoms of a file that a pass removes without a separate repair."""
 
     kind: str
     number: int
 
 
 Changes = Generator[Repair | Omission, None, None]
-"""What a pass changes in a draft."""
+"""Changes of a draft by a pass."""
 
 
 @dataclass(eq=False)
 class Draft:
-    """Molecules of a file, completed pass by pass."""
+    """Structure under preparation: molecules of a file, which passes complete."""
 
-    name: str  # Short name, and the name of the file in messages.
-    source: str
+    name: str
+    source: str  # Name of the file in messages.
     parts: list[Part] = field(default_factory=list)
     reading: Reading = field(default_factory=Reading)
     file: gemmi.Structure = field(default_factory=gemmi.Structure)
-    is_ended: bool = True  # Whether the file has a mark of its end.
-    model: gemmi.Model = field(default_factory=lambda: gemmi.Model(1))  # The model that is used.
-    chains: list[gemmi.Chain] = field(default_factory=list)  # The chains that are used.
-    # Residues of each chain, as the copies that share a number, and the alternate location to use.
+    is_ended: bool = True  # Whether the file has an end record.
+    model: gemmi.Model = field(default_factory=lambda: gemmi.Model(1))  # Selected model.
+    chains: list[gemmi.Chain] = field(default_factory=list)  # Selected chains.
+    # Residues of each chain, grouped by number, with the altloc to use.
     places: dict[str, list[tuple[list[gemmi.Residue], str]]] = field(default_factory=dict)
     runs: list[list[Member]] = field(default_factory=list)  # Unbroken pieces of the protein's chains.
     orphans: set[int] = field(default_factory=set)  # ``id`` of unknown amino acids without a parent.
     hetero_residues: list[HeteroResidue] = field(default_factory=list)  # Residues outside the protein.
-    # Bonds between residues that the file states.
+    # Bonds between residues that the file lists.
     stated_bonds: list[tuple[Address, Address]] = field(default_factory=list)
-    # Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
+    # Bonds of mobile glycans: glycosylated atom and anomeric carbon.
     glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
     contacts: Contacts = field(default_factory=Contacts)
-    # Bonds of the protein to molecules outside it that springs hold.
-    links: list[Link] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)  # Bonds of the protein to hetero molecules, by springs.
     metal_links: list[Link] = field(default_factory=list)  # Bonds of metals to donors outside the protein.
     fragments: list[Fragment] = field(default_factory=list)
-    other_links: list[Link] = field(default_factory=list)  # Other bonds with parameters, but along a chain.
+    other_links: list[Link] = field(default_factory=list)  # Other parametrised bonds not along a chain.
     bridges: list[tuple[Member, Member]] = field(default_factory=list)  # Disulfide bonds.
     states: list[tuple[Member, Template]] = field(default_factory=list)  # Residues, protonated.
-    repairs: list[Repair] = field(default_factory=list)  # Changes made so far.
-    left_out: Counter[str] = field(default_factory=Counter)  # Molecules and atoms left out, by kind.
-    # Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
-    # stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
+    repairs: list[Repair] = field(default_factory=list)  # Changes so far.
+    left_out: Counter[str] = field(default_factory=Counter)  # Omitted molecules and atoms by kind.
+    # Springs to hetero molecules that the file lists: rest, nm or rad, and stiffness. One atom alone marks a
+    # fixed molecule. Empty for files without springs.
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
-    omitted: list[Member] = field(default_factory=list)  # The molecules left out.
-    header: str = ""  # What the file says beside its atoms, as mmCIF text.
+    omitted: list[Member] = field(default_factory=list)  # Omitted molecules.
+    header: str = ""  # Metadata of the file as mmCIF text.
     model_number: int = 1  # Number of the model in the file.
-    file_atoms: tuple[str, ...] = ()  # Atoms of the model in the file, in its order.
+    file_atoms: tuple[str, ...] = ()  # Atoms of the model in the order of the file.
 
     @cached_property
     def templates(self) -> Mapping[str, Template]:
@@ -281,24 +276,24 @@ class Draft:
 
     @property
     def members(self) -> list[Member]:
-        """Every residue, in order."""
+        """All residues, in order."""
         return [member for part in self.parts for member in part.members]
 
     def has_bond(self, first: Address, second: Address) -> bool:
-        """Whether the file states a bond."""
+        """Return whether the file lists a bond."""
         return (first, second) in self.stated_bonds or (second, first) in self.stated_bonds
 
     def lists(self, member: Member) -> bool:
-        """Whether the file says which springs hold a molecule kept with the protein, or that none does."""
+        """Return whether the file lists the springs of a hetero molecule, or that it has none."""
         return (member.chain_id, member.seqid) in self._recorded_atoms
 
     def lists_as_fixed(self, member: Member) -> bool:
-        """Whether the file says that a molecule kept with the protein stays in place."""
+        """Return whether the file lists a hetero molecule as fixed."""
         return 1 in self._recorded_atoms.get((member.chain_id, member.seqid), ())
 
     @cached_property
     def _recorded_atoms(self) -> Mapping[tuple[str, str], set[int]]:
-        """Numbers of atoms, one or two, of what the file says of each molecule kept with the protein."""
+        """Numbers of atoms (1 or 2) in the spring records of each hetero molecule."""
         counts: dict[tuple[str, str], set[int]] = {}
         for atoms in self.springs:
             if len(atoms) < 3:
@@ -307,6 +302,6 @@ class Draft:
 
 
 def losses(member: Member, atoms: Iterable[gemmi.Atom], cause: Reason) -> tuple[Loss, ...]:
-    """Tell of the heavy atoms among those of a residue, if there are any, that they are lost."""
+    """Return a loss that lists the heavy ones of some atoms of a residue, or nothing without any."""
     lost = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
     return (Loss(member.chain_id, member.seqid, member.raw_name or member.name, lost, cause),) if lost else ()
