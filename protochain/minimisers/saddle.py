@@ -123,7 +123,7 @@ class Curvature:
 
     At a saddle point the torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and below
     -``SIGN`` or -``LEAST``). In this direction, a turn of less than 1 rad causes a torque above the
-    tolerance, or an RMS displacement of less than 0.1 nm such an RMS force. A shoulder in torsions counts too.
+    tolerance, or an RMS displacement of less than 0.1 nm such an RMS force. Shoulders in torsions count, too.
     """
 
     tolerance: float  # Of the minimisation.

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 N_FRAMES = 50
-"""Positions kept of a run, so that memory does not grow with it."""
+"""Number of stored positions of a run, so that memory does not grow with it."""
 
 SIZES = ("rms_torque_kj_mol_rad", "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm")
-"""Torques where hinges turn, forces where all atoms move, restraints included; the others are missing."""
+"""Torques if hinges turn, or forces if all atoms move, restraints included. The others are missing."""
 
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", *SIZES, "ca_rmsd_angstrom")
 
@@ -58,7 +58,7 @@ def alpha_residues(structure: Structure) -> "pd.DataFrame":
 
 @dataclass
 class Recorder:
-    """Collect a trace row at each iteration; RMSDs are computed after the clock has stopped."""
+    """Collect a trace row at each iteration. RMSDs are computed after the clock has stopped."""
 
     structure: Structure
     frame: Frame
@@ -71,7 +71,7 @@ class Recorder:
     started: float = field(default_factory=perf_counter)
 
     def __call__(self, x: Floats, energy: float, sizes: Mapping[str, float], evaluations: int) -> None:
-        """Record a point, with the sizes of its torques or forces; the others are NaN."""
+        """Record a point, with the sizes of its torques or forces. The others are NaN."""
         row = {
             "iteration": len(self.rows),
             "evaluations": evaluations,
@@ -83,18 +83,18 @@ class Recorder:
         self.alphas.append(x[self.structure.alpha_carbons])
         self._frame(len(self.rows) - 1, x)
         if self.watch:
-            # The command line's watcher says that it does without: superposing takes a tenth of a short run.
+            # The command line's watcher needs none: superposition would cost a tenth of a short run.
             needs_positions = getattr(self.watch, "wants_positions", True)
             self.watch(row, self.frame(x) if needs_positions else x)
 
     def at_stage(self, name: str, evaluations: int) -> None:
-        """Tell a watcher that has a method ``at_stage`` what the run is doing, recorded or not."""
+        """Report the stage to the watcher's method ``at_stage``, if it has one, recorded or not."""
         callback = getattr(self.watch, "at_stage", None)
         if callback:
             callback(name, evaluations)
 
     def warn(self, line: str) -> None:
-        """Tell a watcher that has a method ``at_warning`` what the user should know at once; or else warn."""
+        """Report an urgent message to the watcher's method ``at_warning``, or issue a warning."""
         callback = getattr(self.watch, "at_warning", None)
         if callback:
             callback(line)
@@ -102,7 +102,7 @@ class Recorder:
             warnings.warn(line, StrayWarning, stacklevel=2)
 
     def _frame(self, row: int, x: Floats) -> None:
-        """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""
+        """Store the positions of every n-th row, fewer as the run grows longer, and of the last row."""
         self.last = x
         if row % self.interval == 0:
             self.frames[row] = self.frame(x).astype(np.float32)
@@ -111,7 +111,7 @@ class Recorder:
             self.frames = {k: positions for k, positions in self.frames.items() if k % self.interval == 0}
 
     def recorded_frames(self) -> dict[int, NDArray[np.float32]]:
-        """Positions by their row of the trace, the last among them."""
+        """Positions by their row of the trace, including the last."""
         if self.last is None:
             return self.frames
         return self.frames | {len(self.rows) - 1: self.frame(self.last).astype(np.float32)}
@@ -119,7 +119,7 @@ class Recorder:
 
 def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Floats]) -> "pd.DataFrame":
     """Trace of recorded rows and their C-alphas, with the columns ``TRACE_COLUMNS``."""
-    # Imported when asked for: the import takes longer than minimising a small protein.
+    # Imported on use: the import is slower than minimising a small protein.
     import pandas as pd
 
     start = structure.positions[structure.alpha_carbons]
@@ -131,7 +131,7 @@ def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Fl
 
 
 class _LazyField:
-    """Field that may be given as the function that makes it, called when the field is first read."""
+    """Field whose value may be a function, which is called on first access."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -149,7 +149,7 @@ class _LazyField:
 
 
 class RunEnds(ViolationsAtEnd, Value):
-    """What the results of runs share: terms and measures of start and end, and the motion between them."""
+    """Base of results of runs: terms and measures of start and end, and the motion between them."""
 
     energy_function: Energy
     frame: Frame
@@ -164,8 +164,8 @@ class RunEnds(ViolationsAtEnd, Value):
     def terms_start(self) -> dict[str, float]:
         """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
 
-        Empty where the energy is a callable, or a System that the native engine cannot compute; and of more
-        than 20,000 atoms.
+        Empty if the energy is a callable, or a System that the native engine cannot compute, or has more than
+        20,000 atoms.
         """
         return self._terms[1]
 
@@ -176,13 +176,13 @@ class RunEnds(ViolationsAtEnd, Value):
 
     @cached_property
     def _terms(self) -> tuple[dict[str, float], ...]:
-        # The end first: Born radii there may be those of the last evaluation.
+        # The end first: the last evaluation may already have its Born radii.
         start = self._structure_at_start
         return terms_at(self.energy_function, start, self.x, start.positions)
 
     @cached_property
     def displacements(self) -> "pd.DataFrame":
-        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
+        """Displacement of each C-alpha from the start, superposed on all C-alphas, a row per residue.
 
         Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
         """
@@ -192,17 +192,17 @@ class RunEnds(ViolationsAtEnd, Value):
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:
-        """What is wrong with the start: :func:`protochain.validation.measures`."""
+        """Errors and outliers of the start: :func:`protochain.validation.measures`."""
         return measures(self._structure_at_start)
 
     @cached_property
     def measures_end(self) -> dict[str, Any]:
-        """What is wrong with the end."""
+        """Errors and outliers of the end."""
         return measures(self._structure_at_start, self.x)
 
     @cached_property
     def remains_end(self) -> dict[str, list[str]]:
-        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
+        """Places of remaining problems at the end, by the keys of ``REMAINS``."""
         return remains(self._structure_at_start, self.x)
 
     @cached_property
@@ -224,32 +224,32 @@ class Solution(RunEnds):
     energy_function : Energy
         With all terms.
     constant_terms : mapping of str to int
-        Numbers, by kind, of terms and pairs left out of the run because they are constant in this chain.
+        Numbers, by kind, of terms and pairs that the run skips because they are constant in this chain.
     q : (n_q,) float
-        Coordinates at the end; those of the chain rebuilt there if all atoms moved. Its pose is that of ``x``
-        up to one rigid motion of all atoms.
+        Coordinates at the end, or of the chain rebuilt there if all atoms moved. Their pose equals ``x`` up
+        to one rigid motion of all atoms.
     x : (na, 3) float, nm
         Positions at the end, in the frame of the start.
     energy : float, kJ/mol
-        By the engine of the run; ``end.energy`` is the judge's.
+        By the engine of the run. ``end.energy`` is the judge's.
     status : Status
         How the run ended, as judged.
     ended : str
-        Status and residual in words; ``message`` also says if the end is far from the start.
+        Status and residual in words. ``message`` also reports an end far from the start.
     n_iterations, n_evaluations : int
         Iterations, and energy evaluations, of the run.
     seconds : float
         Wall time of the run, without preparation and judgement.
     trace : pandas.DataFrame
-        A row per iteration, with columns ``TRACE_COLUMNS``: where hinges turn, RMS and largest torque; where
-        all atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints
-        are included. A run converges by its largest torque or RMS force.
+        A row per iteration, with columns ``TRACE_COLUMNS``. If hinges turn, RMS and largest torque. If all
+        atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints are
+        included. A run converges by its largest torque or RMS force.
     start, end : Judgement
         Energy and residuals in double precision.
     judge : str
-        What computed them.
+        Name of the judge that computed them.
     frame : Frame
-        Says whether ``x`` was superposed on the start, and if not, what held the run in place.
+        Whether ``x`` was superposed on the start, and if not, the reason that fixed the run in space.
     ca_rmsd_angstrom : float
         Between start and end, after superposition.
     tolerance : float
@@ -259,16 +259,16 @@ class Solution(RunEnds):
     seed : int
         Of random methods.
     restraints : two float or None, kJ/mol
-        Energies at start and end of what held the end, no part of others; None where nothing did.
+        Energies at start and end of the restraint at the end, not included in others. None without one.
     restraint_values : tuple of RestraintValue
         Values and violations of the listed restraints at the end.
     timings : mapping of str to float, s
-        Wall time by part of the call, which add up to it, and the ``serial_share_of_loop``: what of the loop
-        one thread does alone, None where OpenMM computes.
+        Wall times by part of the call, which add up to the whole, and ``serial_share_of_loop``: share of the
+        loop on a single thread, None if OpenMM computes.
     lowest_eigenvalue : float or None, kJ/mol/rad^2 or kJ/mol/nm^2
-        Of the Hessian at the end, in torsions or in the positions of all atoms; None where it was not sought.
+        Of the Hessian at the end, in torsions or in the positions of all atoms. None if not computed.
     frame_rows : (n,) int
-        Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
+        Rows of the trace of ``frames``: equidistant from the first row, and the last row.
     frames : (n, na, 3) float32, nm
         Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution, solution.frames)``.
 
@@ -321,13 +321,13 @@ class Solution(RunEnds):
 
     @property
     def ligand_properties(self) -> list[dict[str, str]]:
-        """Fields of the ligands' records of SDF, as :func:`protochain.save_ligands` writes them."""
+        """SDF fields of the ligands, as :func:`protochain.save_ligands` writes them."""
         s, energy = self.frame.start, self.end.energy
         return sdf_properties(s, self.x, self.ligand_motion, energy, str(self.status))
 
     @cached_property
     def message(self) -> str:
-        """Status and residual in words; beyond 2 angstrom (C-alpha RMSD) also how far the start is."""
+        """Status and residual in words, and the distance from the start above 2 angstrom (C-alpha RMSD)."""
         turned = self.frame.start is not self.chain.structure
         far = describe_rmsd(self.ca_rmsd_angstrom, self.recipe, self.frame.start, turned)
         return f"{self.ended}; {far}" if far else self.ended
@@ -341,18 +341,18 @@ class Solution(RunEnds):
     def keeps_geometry(self) -> bool:
         """Whether only hinges turned.
 
-        Bond lengths and angles are then untouched, except opened ones and where rings and disulfides close.
+        Bond lengths and angles are then constant, except opened ones and at closures of rings and disulfides.
         """
         return self.recipe.keeps_geometry
 
     @property
     def ca_rmsd_as_filed_angstrom(self) -> float:
-        """Between start and end as they are, without superposition: larger only where a run was held."""
+        """Between start and end without superposition. It is larger only if the run was fixed in space."""
         return self.frame.ca_rmsds(self.x)[1]
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy, below that of the start unless forces are within tolerance."""
+        """Whether the end has a finite energy, below the start energy unless forces are within tolerance."""
         before, after = self.restraints or (0.0, 0.0)  # They count in the energy that was minimised.
         lower = self.end.energy + after < self.start.energy + before
         improved = self.status in (Status.CONVERGED, Status.VIOLATIONS) or lower
@@ -393,11 +393,11 @@ class Solution(RunEnds):
         )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
-        """Flat record behind JSON, CSV and pages; None where a value is not finite."""
+        """Flat record for JSON, CSV and pages, with None for values that are not finite."""
         return record(COLUMNS, self)
 
     def ends(self) -> dict[str, Structure]:
-        """Start and end, by ``start`` and method."""
+        """Structures of start and end, under the keys ``start`` and the method."""
         return {"start": self.chain.structure, self.method: self.structure}
 
     def __repr__(self) -> str:

@@ -22,27 +22,27 @@ from protochain.minimisers.problem import Evaluation, Placement
 from protochain.structure.molecule.model import Structure
 
 ROOT_LEVER = 0.1
-"""nm. Translation of a free root that counts like one radian, so that forces and torques compare."""
+"""nm. Translation of a free root that counts like one radian, to make forces and torques comparable."""
 
 SOFT_TORSIONS, SOFT_DECAY = 1.0, 8.0
-"""kJ/mol/rad^2, added to the stiffness of contacts that ranks soft turns, and its decay rate per contact
-distance. Minimisers have a higher floor and a steeper decay, for their steps must not be long in soft
-directions; where the softest is sought, these take the fewest products with the Hessian."""
+"""kJ/mol/rad^2, floor of the stiffness of contacts that ranks soft turns, and its decay rate per contact
+distance. Minimisers have a higher floor and a steeper decay, to avoid long steps in soft directions. In the
+search for the softest direction, these values need the fewest products with the Hessian."""
 
 SOFT_ATOMS = 3.0
-"""kJ/mol/nm^2, added for every atom where soft directions are ranked: lowest eigenvalues of proteins are 2 to
-20. With the minimisers' floor, and few pairs coupled, the search takes twice as many products."""
+"""kJ/mol/nm^2, added for every atom to rank soft directions. Lowest eigenvalues of proteins are 2 to 20. With
+the minimisers' floor, and few pairs coupled, the search needs twice as many products."""
 
 _RANK = 1e-6
-"""nm for each atom: displacements below it, in all, are rounding, not motion."""
+"""nm per atom. Smaller total displacements are rounding, not motion."""
 
 _LARGE = 500
-"""Freedoms or atoms from which on a stiffness is made in a thread, so that Ctrl-C is answered meanwhile."""
+"""Freedoms or atoms from which a stiffness is computed in a thread, so that Ctrl-C still works."""
 
 
 @dataclass(frozen=True, eq=False)
 class Torsions:
-    """Hinge angles and free roots of a chain; a free root moves by ``ROOT_LEVER`` for each unit.
+    """Hinge angles and free roots of a chain. A free root moves by ``ROOT_LEVER`` per unit.
 
     Parameters
     ----------
@@ -70,8 +70,8 @@ class Torsions:
         return scale
 
     def start(self, x: Floats) -> Floats:
-        """Coordinates of the chain's own positions; a ValueError if x differs from them."""
-        # Its bond lengths and angles may not fit the chain.
+        """Coordinates of the chain's own positions. Raise a ValueError if x differs from them."""
+        # Bond lengths and angles of x may not fit the chain.
         if not np.array_equal(x, self.chain.structure.positions):
             raise ValueError("a chain starts at its own positions")
         return self.chain.q0
@@ -85,7 +85,7 @@ class Torsions:
         return np.asarray(self.scale * pull_back(self.chain, _pose(at), forces))
 
     def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
-        """Torques (n_v,) as they are: the same freedoms everywhere."""
+        """Torques (n_v,) unchanged, as freedoms are the same everywhere."""
         return torque
 
     def residual(self, torque: Floats) -> float:
@@ -107,8 +107,8 @@ class Torsions:
     ) -> Callable[[Floats], Floats]:
         """Solver for J^T C J, by Cholesky factorisation.
 
-        C is that of the force field's near terms, or of given springs between near atoms; without either, of
-        contacts. With those of tethers.
+        C is the stiffness of the force field's near terms, of given springs between near atoms, or else of
+        contacts. Tethers are added.
         """
         by_terms = self.terms is not None and near_by is None
         floor = curvature.TORSION_FLOOR if by_terms else spring_model.TORSION_FLOOR
@@ -126,7 +126,7 @@ class Torsions:
         return spring_model.torsion_stiffness(self.chain, at, lambda *_: springs, tether, angles)
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for the stiffness of contacts with nearly nothing added."""
+        """Solver for the stiffness of contacts with a tiny floor."""
         soft = partial(spring_model.torsion_stiffness, self.chain, _pose(at.pose), _soft_springs)
         return self._solver(soft, SOFT_TORSIONS)
 
@@ -140,7 +140,7 @@ class Torsions:
         return solver(scaled_matrix, self.chain.n_v)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
-        """Orthonormal rigid motions (k, n_v); none if a root or an atom is fixed."""
+        """Orthonormal rigid motions (k, n_v), or none if a root or an atom is fixed."""
         if not self.chain.moving.all():
             return np.empty((0, self.chain.n_v))
         motions = motions_of_whole(self.chain, _pose(at.pose))
@@ -149,7 +149,7 @@ class Torsions:
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix, by the articulated-body algorithm."""
         posed = _pose(at.pose)
-        # Torques that are not finite pass: the run then ends with a status.
+        # Torques that are not finite are allowed: the run then ends with a status.
         tree = self.chain.tree
         return lambda torque: solve_at_once(tree, posed.frames, torque / self.scale) / self.scale
 
@@ -160,13 +160,13 @@ def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
     def factorise() -> Any:
         return cho_factor(make(), lower=True, check_finite=False)
 
-    # Of a large protein it takes seconds.
+    # For a large protein this lasts seconds.
     factor = factorise() if n < _LARGE else run_interruptible(factorise, is_deferred=True)
     return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
 
 def _soft_springs(structure: Structure, x: Floats, bonds: int) -> spring_model.Springs:
-    """Springs of contacts, and of bonds and angles: where a ring or disulfide closes, they are stretched."""
+    """Springs of contacts, bonds and angles. Closures of rings and disulfides stretch the latter."""
     soft = spring_model.contacts(structure, x, bonds, SOFT_DECAY)
     covalent = spring_model.covalent(structure)
     firm = covalent.stiffness >= spring_model.ANGLE
@@ -177,7 +177,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> spring_model.S
 
 
 def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
-    """Turns and shifts (6, n_v) of the whole about the world's origin; (0, n_v) if a root is fixed."""
+    """Rotations and translations (6, n_v) about the world origin, or (0, n_v) if a root is fixed."""
     tree, frames = chain.tree, pose.frames
     roots = np.flatnonzero(tree.parent < 0)
     if not (tree.kind[roots] == HingeKind.FREE).all():
@@ -189,7 +189,7 @@ def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
         for k, unit in enumerate(np.eye(chain.n_v)[freedoms]):
             twists[:, k] = multibody.velocities(tree, frames, unit)[root]
         root_twists = np.eye(6)
-        # A turn about the world's origin moves this body's origin along.
+        # A turn about the world origin also moves this body's origin.
         root_twists[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
         motions[:, freedoms] = np.linalg.solve(twists, root_twists).T
     return motions
@@ -214,7 +214,7 @@ class Positions:
 
 @dataclass(frozen=True, eq=False)
 class Cartesian:
-    """All atoms free: q is x, flattened; steps and torques are in frames that turn with each atom's bonds.
+    """All atoms free. q is x, flattened. Steps and torques are in frames that turn with each atom's bonds.
 
     Parameters
     ----------
@@ -241,15 +241,15 @@ class Cartesian:
 
     @cached_property
     def _bonds(self) -> tuple[Integers, Floats]:
-        """Bonds, and how easily each atom follows them."""
+        """Bonds, and the inverse mass of each atom, 0 if fixed."""
         return np.array(self.structure.bonds), np.where(self.moving, 1.0 / self.structure.atom_mass, 0.0)
 
     def inward(self, x: Floats, vectors: Floats) -> Floats:
-        """Vectors (3 na,) of the world in the frames of the atoms at x (na, 3), nm."""
+        """Convert vectors (3 na,) from world axes to the frames of the atoms at x (na, 3), nm."""
         return inward(np.array(x), self._legs, vectors.reshape(-1, 3)).ravel()
 
     def outward(self, x: Floats, vectors: Floats) -> Floats:
-        """Vectors (3 na,) of the frames of the atoms at x (na, 3), nm, in the world."""
+        """Convert vectors (3 na,) from the frames of the atoms at x (na, 3), nm, to world axes."""
         return outward(np.array(x), self._legs, vectors.reshape(-1, 3)).ravel()
 
     @cached_property
@@ -265,28 +265,28 @@ class Cartesian:
         return Positions(q)
 
     def torque(self, at: Placement, forces: Floats) -> Floats:
-        """Forces (3 na,) on the atoms that may move, in their frames, and zero on the others."""
+        """Forces (3 na,) on the moving atoms, in their frames, and zero on the others."""
         return self.inward(at.x, np.where(self.moving[:, None], forces, 0.0))
 
     def transport_torque(self, torque: Floats, at: Placement, to: Placement) -> Floats:
-        """Forces (3 na,) in the frames at one placement, in those at another."""
+        """Convert forces (3 na,) from the frames at one placement to the frames at another."""
         return self.inward(to.x, self.outward(at.x, torque))
 
     def residual(self, torque: Floats) -> float:
-        """RMS force over the components that may move, kJ/mol/nm."""
+        """RMS force over the components of moving atoms, kJ/mol/nm."""
         # The squared forces of coinciding atoms may overflow.
         with np.errstate(over="ignore"):
             return float(np.sqrt(torque @ torque / (3 * max(1, self.moving.sum()))))
 
     def sizes(self, torque: Floats) -> dict[str, float]:
-        """RMS force over the components that may move, and largest force on an atom, kJ/mol/nm."""
+        """RMS force over the components of moving atoms, and largest force on an atom, kJ/mol/nm."""
         force = torque.reshape(-1, 3)
         with np.errstate(over="ignore"):
             largest = float(np.sqrt(np.max(np.einsum("ij,ij->i", force, force), initial=0.0)))
         return {"rms_force_kj_mol_nm": self.residual(torque), "max_force_kj_mol_nm": largest}
 
     def move(self, q: Floats, step: Floats) -> Floats:
-        """Coordinates after a step (3 na,), in which bonds turn on arcs."""
+        """Coordinates after a step (3 na,) that turns bonds on arcs."""
         x = q.reshape(-1, 3)
         return apply_step(x, self.outward(x, step).reshape(-1, 3), *self._bonds).ravel()
 
@@ -295,8 +295,8 @@ class Cartesian:
     ) -> Callable[[Floats], Floats]:
         """Solver for a sparse model of the Hessian.
 
-        With the near terms of the force field, or springs between near atoms in place of its Lennard-Jones
-        pairs; without, springs for bonds, angles, dihedrals and contacts. With those of tethers.
+        It has the near terms of the force field, optionally with springs instead of its Lennard-Jones pairs.
+        Otherwise it has springs for bonds, angles, dihedrals and contacts. Tethers are added.
         """
         if self.terms is None:
             near = near_by or spring_model.contacts
@@ -310,11 +310,11 @@ class Cartesian:
         return self._in_frames(at.x, solve)
 
     def _in_frames(self, x: Floats, solve: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
-        """Solver for a matrix of the world, in the frames of the atoms."""
+        """Convert a solver in world axes to the frames of the atoms."""
         return lambda torque: self.inward(x, solve(self.outward(x, torque)))
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for the same model with all its pairs coupled, and nearly nothing added."""
+        """Solver for the same model with all its pairs coupled, and a tiny floor."""
         if self.terms is None:
             solve = curvature.springs_solver(
                 self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
@@ -324,11 +324,11 @@ class Cartesian:
         return self._in_frames(at.x, solve)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
-        """Orthonormal rigid motions (k, 3 na): six, less where atoms are fixed or all lie on a line."""
+        """Orthonormal rigid motions (k, 3 na): six, or fewer if atoms are fixed or all are on a line."""
         x = at.x - at.x[self.moving].mean(axis=0)
         axes = np.eye(3)[:, None]
         motions = np.concatenate([np.broadcast_to(axes, (3, *x.shape)), np.cross(axes, x)])
-        # Those that leave the fixed atoms where they are.
+        # Motions that do not move the fixed atoms.
         _, size, among = np.linalg.svd(motions[:, ~self.moving].reshape(6, 3 * int((~self.moving).sum())).T)
         motions = among[np.sum(size > _RANK * len(x)) :] @ motions.reshape(6, -1)
         _, size, along = np.linalg.svd(motions, full_matrices=False)
@@ -342,7 +342,7 @@ class Cartesian:
 
 
 def spaces(chain: Chain, terms: NearTerms | None = None) -> tuple[Torsions, Cartesian]:
-    """Both spaces of a chain, with near terms of its force field; cached with all that is derived from it."""
+    """Both spaces of a chain, with near terms of its force field, cached with all derived data."""
     return _spaces(chain, terms)
 
 

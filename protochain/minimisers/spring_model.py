@@ -2,12 +2,12 @@
 
 For energies whose near terms are not known (:mod:`protochain.minimisers.curvature`), as of a callable.
 
-Minimisation is slow because some freedoms are a million times stiffer than others: bonds than dihedrals and,
-among dihedrals, those that press two atoms together than those that swing a loop. Springs between atoms
-reproduce this well enough for a preconditioner, whatever the force field: Packwood, Kermode, Mones,
-Bernstein, Woolley, Gould, Ortner, Csanyi, J. Chem. Phys. 144:164109 (2016), with stiffness falling
-exponentially; with bonds and angles as further springs, Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018). In
-torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
+Minimisation is slow because some freedoms are a million times stiffer than others. Bonds are stiffer than
+dihedrals. Dihedrals that press two atoms together are stiffer than others that swing a loop. Springs between
+atoms reproduce this well enough for a preconditioner, for any force field. Packwood, Kermode, Mones,
+Bernstein, Woolley, Gould, Ortner, Csanyi, J. Chem. Phys. 144:164109 (2016) use exponentially decaying
+stiffness. Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018) add springs for bonds and angles. In torsions K =
+J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
 """
 
 from collections.abc import Callable, Sequence
@@ -22,23 +22,23 @@ from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.molecule.model import Structure, per_structure
 
 DEPTH = 0.4
-"""kJ/mol, well depth of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at
-the minimum is 72 times the depth divided by the square of the distance."""
+"""kJ/mol, well depth of a contact. Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at
+the minimum is 72 times the depth divided by the squared distance."""
 
 DECAY = 14.0
-"""Decay rate of the stiffness, per contact distance: that of the repulsive part of a curvature, r^-14. The
-whole 12-6 curvature falls by 21 at contact."""
+"""Decay rate of the stiffness per contact distance, as of the repulsive part of a curvature, r^-14. The whole
+12-6 curvature has a rate of 21 at contact."""
 
 REACH = 1.3
-"""Longest spring, in contact distances; its stiffness is 2 % of that at contact."""
+"""Longest spring, in contact distances. Its stiffness is 2 % of the stiffness at contact."""
 
 TORSION_FLOOR = 150.0
 """kJ/mol/rad^2, added for every freedom, for dihedral terms and long-range forces. Values between 60 and 400
 perform alike."""
 
 BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
-"""kJ/mol/nm^2, of springs between atoms one, two and three bonds apart: ff14SB's bonds have 1.5e5 to 5e5, and
-an angle's 300 to 700 kJ/mol/rad^2 act at a lever of about 0.1 nm."""
+"""kJ/mol/nm^2, of springs between atoms one, two and three bonds apart. Bonds of ff14SB have 1.5e5 to 5e5.
+Angles have 300 to 700 kJ/mol/rad^2, at a lever of about 0.1 nm."""
 
 CARTESIAN_FLOOR = 8.0e3
 """kJ/mol/nm^2, added for every atom."""
@@ -85,8 +85,8 @@ def torsion_stiffness(
     gradients: Sequence[Gradients] = (),
 ) -> Floats:
     """Stiffness K = J^T C J of the contacts of a chain, in its torsions."""
-    # tether (na,) -> (n_v, n_v) kJ/mol/rad^2: Of all that acts between bodies; springs within a rigid group
-    # keep their length.
+    # tether (na,) -> (n_v, n_v) kJ/mol/rad^2, of all terms between bodies. Springs within a rigid group have
+    # constant lengths.
     near = near_by(chain.structure, at.x, 2)
     along = _directions(at.x, near.pairs)
     lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
@@ -95,7 +95,7 @@ def torsion_stiffness(
 
 
 def _directions(x: Floats, pairs: Integers) -> Floats:
-    """Unit vectors (n, 3) from second to first atom; zero for atoms at one point."""
+    """Unit vectors (n, 3) from second to first atom, zero for coinciding atoms."""
     across = x[pairs[:, 0]] - x[pairs[:, 1]]
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0)
