@@ -1,4 +1,4 @@
-"""What results are told by: columns and records, provenance, tables, figures, pages and the viewer.
+"""Output of results: columns and records, provenance, tables, figures, pages and the viewer.
 
-It knows structures, whose looks it shows, and nothing of how a result was made.
+It uses structures for the viewer, and is independent of the methods that compute results.
 """

@@ -1,4 +1,4 @@
-"""Columns of records, behind terminal, CSV, JSON and pages, and those that all results share."""
+"""Columns of records, for terminal, CSV, JSON and pages, with the columns that all results share."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ _SPELLED = {
 
 
 Kind = Any
-"""``str``, ``float | None``, ``list[str]``, ``dict[str, int]``, an enumeration, a dataclass, a TypedDict;
-name -> kind, an object that has these names and no others; ``[kind]``, a list of these."""
+"""``str``, ``float | None``, ``list[str]``, ``dict[str, int]``, an enumeration, a dataclass, a TypedDict. A
+mapping name -> kind is an object with exactly these names, and ``[kind]`` a list of a kind."""
 
 
 def kind_of(name: str) -> Kind:
-    """Kind that a name tells: with a unit, or seconds, a number or null; with ``n_`` a count; else text."""
+    """Kind by name: a number or null with a unit or ``seconds``, a count with ``n_``, else text."""
     if name.startswith("seconds") or any(name.endswith(unit) for unit in UNITS):
         return float | None
     return int if name.startswith("n_") else str
@@ -41,17 +41,17 @@ class Column:
     """A column of the record."""
 
     key: str  # Name in JSON and CSV, with its unit.
-    value: Callable[[Any], Any]  # Of what is recorded.
-    heading: str = ""  # In short tables, which leave out columns without one.
-    short: str = ""  # Heading where 80 characters must hold all columns.
+    value: Callable[[Any], Any]  # Function of the recorded result.
+    heading: str = ""  # Heading in short tables, which skip columns without one.
+    short: str = ""  # Heading if all columns must fit into 80 characters.
     width: int = 8  # Characters of a number there.
-    kind: Kind = None  # What values are, for schemas and for reading tables, unless the key tells.
+    kind: Kind = None  # Kind of values, for schemas and for reading tables, by default from the key.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or kind_of(self.key))
 
     def short_text(self, value: Any) -> str:
-        """Value as the short table prints it: with two decimals, or as many as its width holds."""
+        """Value as the short table prints it, with two decimals or as many as fit into its width."""
         if not isinstance(value, float):
             return "-" if value is None else str(value)
         forms: tuple[str, ...] = (".2f", ".1f", ".0f", ".1e", ".0e")
@@ -81,12 +81,12 @@ def heading(name: str) -> str:
 
 
 def record(columns: Iterable[Column], result: Any) -> dict[str, Any]:
-    """Flat record of a result; None where a value is not finite."""
+    """Flat record of a result, with None for values that are not finite."""
     return {column.key: _finite(column.value(result)) for column in columns}
 
 
 def largest(values: Any) -> float | None:
-    """Largest of some values (n,); None if there are none."""
+    """Largest of the values (n,), None without values."""
     return float(np.max(values)) if len(values) else None
 
 
@@ -95,7 +95,7 @@ def _finite(value: Any) -> Any:
 
 
 def flat(value: Any) -> Any:
-    """Value of a record as a cell of a table: lists and counts as text; lists of objects are no cells."""
+    """Value of a record as a cell of a table: lists and counts as text. Lists of objects stay lists."""
     if isinstance(value, dict):
         return "; ".join(f"{count} {name}" for name, count in value.items())
     is_plain = isinstance(value, list) and not any(isinstance(item, dict) for item in value)
@@ -108,7 +108,7 @@ def number(measure: Any) -> Kind:
 
 
 def of_measures(measures: Mapping[str, Any], *whens: str) -> Iterator[Column]:
-    """Columns of what is wrong with the structure at the ``start`` or ``end`` of a run."""
+    """Columns of measures of the structure at the ``start`` or ``end`` of a run."""
     for key, measure in measures.items():
         for when in whens:
             yield Column(f"{key}_{when}", partial(_measure, key, when), kind=number(measure))
@@ -119,7 +119,7 @@ def _measure(key: str, when: str, result: Any) -> Any:
 
 
 def of_remains(keys: Iterable[str]) -> Iterator[Column]:
-    """Columns of what remains at the end of a run that a biologist may reject, by place."""
+    """Columns of residues with remaining problems at the end of a run, which a biologist may reject."""
     for key in keys:
         yield Column(key, partial(_remaining, key), kind=list[str])
 
@@ -130,7 +130,7 @@ def _remaining(key: str, result: Any) -> list[str]:
 
 
 def of_terms(names: Iterable[str]) -> Iterator[Column]:
-    """Columns of the terms of the energy, and of restraints, which are no part of it; None if not known."""
+    """Columns of the terms of the energy, and of the separate restraints, None if unknown."""
     for name in names:
         for when in ("start", "end"):
             yield Column(f"energy_{name}_{when}_kj_mol", partial(_term, name, when))
@@ -148,7 +148,7 @@ def _restraints(index: int, result: Any) -> float | None:
 
 
 def of_restraints(kind: Kind) -> Iterator[Column]:
-    """Columns of restraints at the end: how many are violated, and how far; None without restraints."""
+    """Columns of restraints at the end: number and size of violations, None without restraints."""
     yield Column("restraints_violated", _n_violated, kind=int | None)
     for unit in ("angstrom", "degrees"):
         yield Column(f"restraint_violation_{unit}", partial(_largest_violation, unit))
@@ -164,14 +164,14 @@ def _largest_violation(unit: str, result: Any) -> float | None:
 
 
 def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:
-    """Columns of the size of a structure: atoms of all, residues of the protein."""
+    """Columns of the size of a structure: all atoms, and residues of the protein."""
     yield Column("n_chains", lambda r: structure(r).n_chains)
     yield Column("n_residues", lambda r: structure(r).n_protein_residues)
     yield Column("n_atoms", lambda r: structure(r).n_atoms)
 
 
 def of_energy() -> Iterator[Column]:
-    """Columns of what computed the energy."""
+    """Columns of the engine and model of the energy."""
     yield Column("protochain", lambda r: version("protochain"))
     yield Column("engine", lambda r: r.energy_function.engine)
     yield Column("device", lambda r: r.energy_function.device)
@@ -181,7 +181,7 @@ def of_energy() -> Iterator[Column]:
 
 
 def of_losses(structure: Callable[[Any], Any]) -> Iterator[Column]:
-    """Columns of what preparation left out and changed."""
+    """Columns of atoms lost and repairs made by the preparation."""
     yield Column("lost_atoms", lambda r: lost_atoms(structure(r).losses), kind=list[str])
     yield Column("n_lost_atoms", lambda r: n_lost(structure(r).losses))
     yield Column("far_molecules", lambda r: far_molecules(structure(r).losses), kind=list[str])

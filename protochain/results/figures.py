@@ -1,4 +1,4 @@
-"""Figures: their colours and axes, and how a page holds them."""
+"""Figures: their colours and axes, and their embedding in pages."""
 
 import base64
 import io
@@ -18,11 +18,11 @@ from protochain.core.figure import Figure as Figure
 from protochain.core.storage import write_atomically
 
 FORMATS = (".svg", ".pdf", ".png")
-"""Of figures for papers."""
+"""Formats of figures for papers."""
 
 
 def plain(ax: Axes) -> None:
-    """Keep the left and bottom axes only, with a faint grid."""
+    """Show only the left and bottom axes, with a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
     if ax.get_xscale() == "log":
         low, high = sorted(ax.get_xlim())
@@ -37,7 +37,7 @@ def plain(ax: Axes) -> None:
 def panels(
     ax: Any, shape: int | tuple[int, int], size: tuple[float, float], least: int = 1, **options: Any
 ) -> tuple[PlainFigure, Any]:
-    """Figure and Axes (n,) to draw in: new ones, or those given, which may be fewer if the plot allows it."""
+    """Figure and Axes (n,) to draw in: new Axes, or the user's, at least ``least`` of them."""
     rows, columns = (1, shape) if isinstance(shape, int) else shape
     if ax is None:
         figure = Figure(figsize=size, layout="constrained")
@@ -58,13 +58,13 @@ def data_url(figure: PlainFigure) -> str:
 
 
 def check_figure(path: Path | None) -> None:
-    """Refuse a file of no format of figures, before any work is done."""
+    """Raise an error for a file name without a format of figures, before any work is done."""
     if path is not None and path.suffix.lower() not in FORMATS:
         raise ProtochainError(Argument("figure"), f" {path}: give a name that ends in {', '.join(FORMATS)}")
 
 
 def write_figure(path: Path, draw: Callable[[], PlainFigure]) -> None:
-    """Write a figure for a paper, drawn in the package's style, as the ending of its name has it."""
+    """Write a figure for a paper in the package's style, in the format of its file name."""
     import matplotlib.style
 
     kind = path.suffix.lower().removeprefix(".")

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 
 def render(template: str, /, **variables: Any) -> str:
-    """Fill a template of the package; what comes from files is escaped."""
+    """Fill a template of the package. Variables are escaped."""
     return templates().get_template(template).render(**variables)
 
 
 def write_page(path: Path, template: str, /, **variables: Any) -> None:
-    """Write a page, filled from a template."""
+    """Write a page from a template."""
     write_text(path, render(template, **variables))
 
 
 _COUNTED = ("frame", "rank", "time_ps")
-"""Columns whose histograms say nothing."""
+"""Columns without histograms."""
 
 
 def table_data(
@@ -36,7 +36,7 @@ def table_data(
     links: Sequence[str | None] | None = None,
     by: str | None = None,
 ) -> dict[str, Any]:
-    """Rows that a page searches: columns ``shown`` at first, or all, and ``by`` for lines of histograms."""
+    """Data of a searchable table: columns ``shown`` initially, or all, and ``by`` for lines of histograms."""
     numbers = set(table.select_dtypes("number"))
     columns = [
         {"key": str(name), "title": heading(str(name)), "number": name in numbers,
@@ -59,14 +59,14 @@ def table_data(
 
 
 def _short(value: Any) -> int | float | None:
-    """Number as JSON has it: None where it is not finite."""
+    """Number for JSON, None if it is not finite."""
     if value is None or not math.isfinite(value):
         return None
     return int(value) if value == int(value) else float(f"{value:.6g}")
 
 
 def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> None:
-    """Write the page of a scan: what it is, its figure, and all its points."""
+    """Write the page of a scan: its description, its figure, and all its points."""
     from protochain.results.figures import data_url
     from protochain.results.provenance import of_run
 
@@ -76,7 +76,7 @@ def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> No
 
 @cache
 def templates(*packages: str) -> Environment:
-    """Templates of this package, and before them those of others."""
+    """Templates of other packages, followed by templates of this package."""
     loaders = [PackageLoader(name) for name in (*packages, "protochain.results")]
     pages = Environment(loader=ChoiceLoader(loaders), autoescape=True)
     pages.filters["heading"] = heading

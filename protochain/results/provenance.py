@@ -1,4 +1,4 @@
-"""Where results come from: versions and command, and how a file says so."""
+"""Provenance of results: versions and command, and remarks in files."""
 
 import platform
 import shlex
@@ -15,13 +15,13 @@ def versions(*libraries: str) -> dict[str, str]:
 
 
 def command() -> list[str]:
-    """Words of the command of this process, as they were typed: ``python -m protochain`` names no file."""
+    """Words of the command of this process, as typed, also for ``python -m protochain``."""
     as_module = Path(sys.argv[0]).parts[-2:] == ("protochain", "__main__.py")
     return ["python", "-m", "protochain", *sys.argv[1:]] if as_module else sys.argv
 
 
 def command_line() -> str:
-    """Command of this process, as a shell takes it."""
+    """Command of this process, quoted for a shell."""
     return shlex.join(command())
 
 
@@ -38,7 +38,7 @@ def remarks(
     rmsds: tuple[float, float],
     how: Iterable[str] = (),
 ) -> Iterator[str]:
-    """Lines of the file of a result: energies kJ/mol, rmsds angstrom."""
+    """Lines of remarks in the file of a result: energies kJ/mol, rmsds angstrom."""
     e = result.energy_function
     yield f"PROTOCHAIN {version('protochain')}, METHOD {method}, STATUS {result.status}"
     yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}"

@@ -1,4 +1,4 @@
-"""Files of a run: refusal of an earlier run, tables that grow, and errors that say what is saved."""
+"""Files of a run: refusal of an earlier run, growing tables, and errors that report the saved files."""
 
 import csv
 import io
@@ -14,14 +14,14 @@ REPLACE = Argument("force", True), " replaces it"
 
 
 def refuse_earlier(place: Path, run: str, *remedy: str | Argument) -> ProtochainError:
-    """Return the refusal of a place where an earlier run is, which ``resume`` continues."""
+    """Return the error for a place with an earlier run, which ``resume`` continues."""
     return ProtochainError(
         f"{place}: holds {run}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
     )
 
 
 def checkpoint_of(table: Path) -> Path:
-    """Return the checkpoint beside a table that grows."""
+    """Return the path of the checkpoint of a growing table."""
     return table.with_name(f"{table.stem}.checkpoint.npz")
 
 
@@ -33,7 +33,7 @@ def remove_files(files: Iterable[Path]) -> None:
 
 @contextmanager
 def saving(path: Path, contents: str) -> Iterator[None]:
-    """Report what is saved when the disk is full, and that the run can go on."""
+    """Report the saved data if the disk is full, and that the run can be resumed."""
     try:
         with writing(path):
             yield
@@ -44,7 +44,7 @@ def saving(path: Path, contents: str) -> Iterator[None]:
 def csv_text(
     columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False, end: str = "\n"
 ) -> str:
-    """Text of rows, with a header if it is asked for."""
+    """Text of rows, by default without a header."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator=end)
     if header:
@@ -54,7 +54,7 @@ def csv_text(
 
 
 class GrowingTable:
-    """CSV of a run, to which rows are appended behind the bytes that a checkpoint counts."""
+    """CSV of a run, to which rows are appended after the bytes in its checkpoint."""
 
     def __init__(self, path: Path, columns: Sequence[str], n_bytes: int = 0, end: str = "\n") -> None:
         self.columns, self.end = columns, end
@@ -69,12 +69,12 @@ class GrowingTable:
         self._write(csv_text(self.columns, [row], end=self.end))
 
     def _write(self, text: str) -> None:
-        # Names of files may be no UTF-8.
+        # Names of files may not be UTF-8.
         self._file.write(text.encode(errors="backslashreplace"))
         self._file.flush()
 
     def sync(self) -> int:
-        """Write all rows to the disk; return the bytes of the table."""
+        """Write all rows to the disk, and return the bytes of the table."""
         os.fsync(self._file.fileno())
         return self._file.tell()
 

@@ -11,23 +11,23 @@ from protochain.results.columns import UNITS, Kind, heading
 Schema = dict[str, Any]
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 OTHERS = "*"
-"""Name whose kind is that of values under all other names."""
+"""Key for the kind of values under all other names."""
 _PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 
 
 @dataclass(frozen=True)
 class Contract:
-    """What a command prints and writes."""
+    """Output of a command."""
 
-    json: tuple[Kind, ...] = ()  # What ``--json`` prints is one of them.
-    # By the name of the CSV or the option that names it: one of these is a row.
+    json: tuple[Kind, ...] = ()  # Alternative kinds of the output of ``--json``.
+    # Alternative kinds of a row, by the name of the CSV or its option.
     tables: Mapping[str, tuple[Kind, ...]] = field(default_factory=dict)
-    files: tuple[str, ...] = ()  # Names that its folder always has, in it.
+    files: tuple[str, ...] = ()  # Names of files that are always in its folder.
     patterns: tuple[str, ...] = ()  # Patterns of the names of other files there.
 
 
 def document(command: str, version: int, contract: Contract) -> Schema:
-    """Schema of what a command prints; of tables, arrays of rows, and its folder, of names, in ``$defs``."""
+    """Schema of a command's output, with tables (arrays of rows) and its folder (names) in ``$defs``."""
     defs: dict[str, Schema] = {
         name: {"type": "array", "items": _one_of(rows)} for name, rows in contract.tables.items()
     }
@@ -76,7 +76,7 @@ def schema(kind: Kind) -> Schema:
         return {"enum": [*args]}
     if origin in (Union, UnionType):
         schemas = [schema(part) for part in args]
-        # Plain types in one list, which is shorter.
+        # Plain types are in one list, which is shorter.
         is_plain = all({*part} == {"type"} for part in schemas)
         return {"type": [part["type"] for part in schemas]} if is_plain else {"anyOf": schemas}
     if origin in (list, tuple):
@@ -87,7 +87,7 @@ def schema(kind: Kind) -> Schema:
 
 
 def _object(kinds: Mapping[str, Kind], needed: Sequence[str]) -> Schema:
-    """Schema of an object with no names but these, and ``OTHERS`` if it may have any; units in words."""
+    """Schema of an object with exactly these names, or any others with ``OTHERS``, and units in words."""
     known_kinds = {name: kind for name, kind in kinds.items() if name != OTHERS}
     return {
         "type": "object",
@@ -102,7 +102,7 @@ def _units_of(name: str) -> Schema:
 
 
 def cell(kind: Kind) -> Kind:
-    """Kind of a cell of a table, where a value of this kind may be missing: lists and counts are text."""
+    """Kind of a cell of a table, with missing values. Lists and counts are text."""
     if get_origin(kind) is NotRequired:
         return NotRequired[cell(get_args(kind)[0])]
     origin = get_origin(kind)

@@ -11,7 +11,7 @@ from protochain.core.storage import write_atomically
 
 
 def save(folder: Path, files: Mapping[str, pd.DataFrame | Figure | str]) -> None:
-    """Write tables as CSV, figures, and text to a folder, each by the name of its file."""
+    """Write tables as CSV, figures, and text to a folder, by the names of their files."""
     for name, content in files.items():
         write_atomically(folder / name, partial(_write, content))
 

@@ -9,7 +9,7 @@ from protochain.results.columns import heading
 
 
 def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Energy of each term at the start and at each end, from records by the names of the ends."""
+    """Energy of each term at the start and at each end, from records by the names of ends."""
     rows = []
     for key in dict.fromkeys(key for record in records.values() for key in record):
         name = key.removeprefix("energy_").removesuffix("_start_kj_mol")

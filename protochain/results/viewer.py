@@ -20,18 +20,18 @@ from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
 
 _POCKET = 0.5
-"""nm from a ligand."""
+"""nm. Distance from a ligand."""
 _ALL_ATOMS = 5000
-"""Larger structures are shown without hydrogens, which would add megabytes to the page."""
+"""Limit of atoms. Larger structures are shown without hydrogens, which would add megabytes to the page."""
 
 
 @dataclass(frozen=True)
 class Colouring:
     """A quantity that colours the residues of structures."""
 
-    name: str  # What the page calls it, with its unit.
-    values: Mapping[str, Floats]  # By the names of structures, NaN where unknown; others keep their colour.
-    is_signed: bool = False  # Of two colours about zero; else of one, from the lowest to the highest.
+    name: str  # Its name on the page, with its unit.
+    values: Mapping[str, Floats]  # By names of structures, NaN if unknown. Other structures are unchanged.
+    is_signed: bool = False  # Two colours about zero, else one colour from the lowest to the highest.
 
 
 def scene(
@@ -43,7 +43,7 @@ def scene(
     moved = {name: model.positions - first.positions for name, model in ends.items()}
     away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
     suffix = common_suffix(shown.values())
-    # Displacements are of atoms: they go where the viewer reads a number of each, the column of B factors.
+    # Displacements of atoms are written to the column of B factors, which the viewer reads.
     texts = {first_name: first} | {name: replace(model, b_factor=away[name]) for name, model in ends.items()}
     models = [
         {
@@ -66,13 +66,13 @@ def scene(
 
 
 def residue_keys(structure: Structure) -> NDArray[np.str_]:
-    """(nr,) str: chain, number and insertion code of each residue, as viewers tell them of an atom."""
+    """(nr,) str: chain, number and insertion code of each residue, as viewers report them of an atom."""
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     return np.char.add(np.char.add(np.char.strip(structure.residue_chain), ":"), number)
 
 
 def _residues(structure: Structure, suffix: str) -> list[str]:
-    """Names of residues for the viewer, which reads no codes of mmCIF: empty where they distinguish two."""
+    """Names of residues for the viewer. It ignores insertion codes of mmCIF: ambiguous names are empty."""
     chain, number = structure.residue_chain, structure.residue_number
     if suffix == ".pdb":
         number = np.char.add(number, structure.residue_insertion_code)
@@ -83,9 +83,9 @@ def _residues(structure: Structure, suffix: str) -> list[str]:
 
 DISPLACEMENT = "displacement, angstrom"
 _FULL_RED = 2.0
-"""Angstrom of displacement from which on the colour is the same; less where little moved as far."""
+"""Angstrom of displacement at which the colour saturates, or less if few atoms moved as far."""
 _MOST = 0.98
-"""Share of the values that the colours distinguish: a side chain that turned must not leave others grey."""
+"""Share of values within the colour scale, so that a few large values do not make all others grey."""
 
 
 def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any
 
 
 def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
-    """A colouring with its scale, in numbers that are short in a page and that JSON has."""
+    """A colouring with its scale, in short numbers for JSON."""
     finite_values = np.concatenate([np.empty(0), *colouring.values.values()])
     finite_values = finite_values[np.isfinite(finite_values)]
     if colouring.is_signed:
@@ -114,7 +114,7 @@ def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
 
 
 def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
-    """Each ligand, residues near it at any end (na, 3), nm, and its bonds (n, 2), donors and acceptors."""
+    """Ligands, residues near them at any end (na, 3), nm, and hydrogen bonds (n, 2), donors and acceptors."""
     of = structure.atom_residue
 
     def atom(k: int) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
 
 
 class View:
-    """Interactive viewer in a notebook; plain text elsewhere."""
+    """Interactive viewer in a notebook, and plain text elsewhere."""
 
     def __init__(self, shown: Mapping[str, Structure]) -> None:
         self.shown = shown
@@ -170,17 +170,17 @@ def view(shown: Any) -> View:
     Parameters
     ----------
     shown : Solution, Relaxation, Comparison, Chain, or anything that :func:`protochain.as_structure` accepts
-        A result shows its start and its ends.
+        For a result, its start and its ends are shown.
 
     Returns
     -------
     View
-        Shown in notebooks; no server is contacted.
+        View in notebooks, without any server.
 
     Raises
     ------
     ProtochainError
-        If it is none of these.
+        If it has another type.
 
     Examples
     --------
@@ -202,5 +202,5 @@ def superpose(structure: Structure, start: Structure) -> Structure:
 
 @cache
 def library() -> str:
-    """Source of 3Dmol.js (Rego, Koes, Bioinformatics 31:1322, 2015); its BSD licence is beside it."""
+    """Source of 3Dmol.js (Rego, Koes, Bioinformatics 31:1322, 2015), with its BSD licence in its folder."""
     return (files("protochain.results") / "static" / "3Dmol-min.js").read_text(encoding="utf-8")
