@@ -85,10 +85,10 @@ def add_heavy_atoms(draft: Draft) -> Changes:
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Changes:
     """Remove a terminal oxygen within a chain. Refuse other heavy atoms that the template lacks."""
-    strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
-    if strange:
+    extra = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
+    if extra:
         raise StructureError(
-            f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
+            f"{draft.source}: {member}: atom {extra[0].name} does not belong to {member.name}; "
             "rename or remove it"
         )
     inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
@@ -103,14 +103,14 @@ def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
     centre, neighbours, distance = _TERMINAL_OXYGENS[name]
     at, *near = (np.array(a.pos.tolist()) for label in (centre, *neighbours) if (a := member.atom(label)))
     arms = np.array(near) - at
-    away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
-    length = np.linalg.norm(away)
+    direction = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
+    length = np.linalg.norm(direction)
     if not 1e-3 < length < len(arms) - 1e-3:
         raise StructureError(
             f"{draft.source}: {member}: no place for {name} beside {', '.join(neighbours)}; "
             "correct the coordinates"
         )
-    return atom(name, "O", (at + distance * away / length).tolist(), member.atoms[0].b_iso)
+    return atom(name, "O", (at + distance * direction / length).tolist(), member.atoms[0].b_iso)
 
 
 def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Changes:

@@ -28,7 +28,7 @@ _BONDED = 1.9
 _TINY = 1e-9
 """Angstrom: least length of a direction."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
-_BENT = np.deg2rad(115.0)
+_DONOR_ANGLE = np.deg2rad(115.0)
 """Rad: angle at a donor between its only neighbour and the acceptor."""
 _MIN_DONOR_COSINE, _MIN_ACCEPTOR_COSINE = 0.5, -0.2
 """Least cosines: of a donor's hydrogen with the acceptor, and of the acceptor's bond with the donor."""
@@ -197,7 +197,7 @@ def _neighbours(at: Mapping[str, Floats], name: str) -> Floats:
 
 
 def _fixed_polar_atoms(
-    residues: Sequence[tuple[Member, Template | None]], deciding: Mapping[int, Sequence[str]]
+    residues: Sequence[tuple[Member, Template | None]], ends: Mapping[int, Sequence[str]]
 ) -> tuple[list[Polar], list[Member]]:
     """Return the polar atoms that no site moves, and their residues."""
     heavy = [(a, m, template) for m, template in residues for a in m.heavy]
@@ -206,7 +206,7 @@ def _fixed_polar_atoms(
     indices = [
         k
         for k, (a, member, _) in enumerate(heavy)
-        if (a.element.name in ("N", "O") or a.element.is_metal) and a.name not in deciding.get(id(member), ())
+        if (a.element.name in ("N", "O") or a.element.is_metal) and a.name not in ends.get(id(member), ())
     ]
     polar = list[Polar]()
     for k, near in zip(indices, tree.query_ball_point(x[indices], _BONDED) if indices else (), strict=True):
@@ -253,9 +253,9 @@ def _amine_directions(nitrogen: Polar) -> list[Floats]:
     """Return the directions (3,) of the two N-H bonds of an amide."""
     pivot, start = nitrogen.bonded
     out = (nitrogen.x - pivot) / max(float(np.linalg.norm(nitrogen.x - pivot)), _TINY)
-    aside = cross(out, cross(out, start - pivot))
-    aside /= max(float(np.linalg.norm(aside)), _TINY)
-    return [0.5 * out + sign * np.sqrt(0.75) * aside for sign in (1.0, -1.0)]
+    lateral = cross(out, cross(out, start - pivot))
+    lateral /= max(float(np.linalg.norm(lateral)), _TINY)
+    return [0.5 * out + sign * np.sqrt(0.75) * lateral for sign in (1.0, -1.0)]
 
 
 def _surface(name: str, state: State) -> tuple[Spheres, Floats]:
@@ -283,7 +283,7 @@ def _donor_cosine(donor: Polar, way: Floats) -> float:
     """Return the cosine between a direction and a donor's nearest hydrogen, or 1 if it has no bonds."""
     arms = [bond / max(float(np.linalg.norm(bond)), _TINY) for bond in donor.bonded - donor.x]
     if len(arms) == 1:
-        return float(np.cos(np.arccos(np.clip(arms[0] @ way, -1.0, 1.0)) - _BENT))
+        return float(np.cos(np.arccos(np.clip(arms[0] @ way, -1.0, 1.0)) - _DONOR_ANGLE))
     out = -np.sum(arms, axis=0)
     return float(out @ way / max(np.linalg.norm(out), _TINY)) if arms else 1.0
 

@@ -194,11 +194,11 @@ class _Surroundings:
         self, members: Sequence[Member], links: Sequence[Link], codes: Mapping[int, str]
     ) -> Iterator[str]:
         """Yield the reasons why GLYCAM-06j cannot parametrise a glycan."""
-        borne = Counter(id(link.atom) for link in links)
+        n_sugars = Counter(id(link.atom) for link in links)
         modelled = {frozenset((id(link.atom), id(link.hetero_atom))) for link in links}
         for link in links:
             first, second = link.atoms
-            if not self._can_bear(link.member, link.atom) or borne[id(link.atom)] > 1:
+            if not self._can_bear(link.member, link.atom) or n_sugars[id(link.atom)] > 1:
                 yield f"GLYCAM-06j has no bond of {second} to {first}"
             if link.length < SHORTEST or link.excess > STATED_SLACK:
                 yield f"the bond of {second} to {first} is {link.length:.2f} angstrom long"
@@ -210,8 +210,8 @@ class _Surroundings:
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
             heavy_names = {a.name for a in member.heavy}
-            if strange := heavy_names ^ {*_template(member, code).heavy}:
-                yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
+            if differences := heavy_names ^ {*_template(member, code).heavy}:
+                yield f"{member} has not the atoms of that name: {', '.join(sorted(differences))}"
             for atom in member.heavy:
                 partners = [*self.stated_partners(member, atom)]
                 if atom.element.name in ("O", "N"):

@@ -28,12 +28,12 @@ def far_molecules(losses: Iterable[Loss]) -> list[str]:
     return [str(loss) for loss in losses if loss.why is Reason.FAR]
 
 
-def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Render = str) -> list[str]:
+def loss_lines(rows: Iterable[Mapping[Any, Any]], render: Render = str) -> list[str]:
     """Report the losses of the structures of a run."""
     row_of = {str(row.get("structure")): row for row in rows}
     lines = []
     for key, heading in _COLUMNS.items():
-        remedy = f"; {say(KEEP_ALL)} keeps them" if key == "far_molecules" else ""
+        remedy = f"; {render(KEEP_ALL)} keeps them" if key == "far_molecules" else ""
         cells = {name: row.get(key) for name, row in row_of.items()}
         texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
         filled = {name: text for name, text in texts.items() if isinstance(text, str) and text}

@@ -25,13 +25,13 @@ def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
         chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
         if usual.element[name] == "S" and len(chalcogens) == 1:
             chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-    strange = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
+    extra = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
     member.atoms = [
-        atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
+        atom for atom in member.atoms if atom.name in expected and not (extra and atom.is_hydrogen())
     ]
     member.name, member.state, member.source = parent, "", None
-    removed = tuple(a.name for a in strange)
-    lost = losses(member, strange, reason)
+    removed = tuple(a.name for a in extra)
+    lost = losses(member, extra, reason)
     if gemmi.find_tabulated_residue(original).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
         # The table does not contain its configuration.
         member.is_d = chirality(member, least=WELL_FORMED) < 0

@@ -65,8 +65,8 @@ class _Molecules:
             )
             for k in range(3)
         ]
-        wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)
-        for residue in np.flatnonzero(wide).tolist():
+        is_wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)
+        for residue in np.flatnonzero(is_wide).tolist():
             atoms = np.arange(self.starts[residue], self.starts[residue + 1])
             if len(atoms) <= _MAX_ATOMS:
                 self.shifts[atoms] = self._residue_shifts(self.x[atoms], self.residues[residue][1])
@@ -134,15 +134,15 @@ class _Molecules:
         chains = [piece for piece in pieces if counts[piece] > 1]
         moved: list[int] = []
         placed = chains[:1]
-        waiting = chains[1:]
-        while waiting:
+        remaining = chains[1:]
+        while remaining:
             tree = KDTree(self.positions(np.concatenate([pieces[piece] for piece in placed])))
-            images = {piece: self._image(tree, pieces[piece]) for piece in waiting}
+            images = {piece: self._image(tree, pieces[piece]) for piece in remaining}
             # Chains in contact come first, then chains with an image in contact, then the unmoved others.
-            chosen = min(waiting, key=lambda piece: _rank(images[piece]))
+            chosen = min(remaining, key=lambda piece: _rank(images[piece]))
             moved += self._move_to_image(chosen, images[chosen])
             placed.append(chosen)
-            waiting.remove(chosen)
+            remaining.remove(chosen)
         if placed:
             tree = KDTree(self.positions(np.concatenate([pieces[piece] for piece in placed])))
             for piece in (p for p in pieces if counts[p] == 1):

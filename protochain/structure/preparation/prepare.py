@@ -243,9 +243,9 @@ def prepare(draft: Draft) -> Structure:
             atom.fraction = k
     run(draft, COMPLETING)
     for member in draft.members:
-        if twice := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
+        if repeated := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
             raise StructureError(
-                f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
+                f"{draft.source}: {member}: {repeated[0]} is there under two elements; correct columns 77-78"
             )
     # Hydrogens without a position are placed when all bonds are known.
     atoms = [atom for member in draft.members for atom in member.atoms]
@@ -323,8 +323,8 @@ def _link_indices(links: list[Link], at: dict[int, dict[str, int]]) -> list[tupl
 def _distinct(draft: Draft, links: list[Link]) -> list[Link]:
     """Return each bond of hetero molecules once, bonds to the protein first."""
     protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
-    once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
-    return sorted(once.values(), key=lambda link: id(link.member) not in protein)
+    unique = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
+    return sorted(unique.values(), key=lambda link: id(link.member) not in protein)
 
 
 def _occupancies(atoms: list[gemmi.Atom]) -> Floats:

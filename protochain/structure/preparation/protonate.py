@@ -18,9 +18,9 @@ BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is removed."""
 _HYDROXYL = 1.3
 """Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
-_BRIDGED = "CYX"
+_BRIDGED_NAME = "CYX"
 """Amber's name of a cysteine in a disulfide."""
-_USUAL: Mapping[int, float] = {}
+_NO_PKA: Mapping[int, float] = {}
 """pKa of single residues. Without entries, the pKa of the kind of residue applies."""
 _UNPLACED = [float("nan")] * 3
 
@@ -29,7 +29,7 @@ def protonate(draft: Draft) -> Changes:
     """Choose protonation states by names and hydrogens, or else by pH. Positions of new hydrogens are NaN."""
     templates, ph = draft.templates, draft.reading.chemistry.ph
     bridged = {id(member) for pair in draft.bridges for member in pair}
-    pka = compute_pka(draft) if draft.reading.ph == AUTO else _USUAL
+    pka = compute_pka(draft) if draft.reading.ph == AUTO else _NO_PKA
     shown = {id(m): "CYX" if id(m) in bridged else _lone_pair(m) or _state_in_file(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _state_at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = choose_flips(
@@ -46,7 +46,7 @@ def protonate(draft: Draft) -> Changes:
     added = present = renamed = 0
     for part in draft.parts:
         for i, member in enumerate(part.members):
-            before = sum(a.is_hydrogen() for a in member.atoms)
+            n_before = sum(a.is_hydrogen() for a in member.atoms)
             if id(member) in turned:
                 kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
                 yield Repair.of(kind, residue=member.residue)
@@ -54,9 +54,9 @@ def protonate(draft: Draft) -> Changes:
             residue_pka = pka.get(id(member)) if state == _state_at_ph(member, ph, pka) else None
             template = yield from _template(templates, part, i, shown[id(member)], state, residue_pka)
             renamed += yield from _match_hydrogens(member, template)
-            now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
-            present += min(before, now)
-            added += sum(a.is_hydrogen() for a in member.atoms) - now
+            n_placed = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
+            present += min(n_before, n_placed)
+            added += sum(a.is_hydrogen() for a in member.atoms) - n_placed
             draft.states.append((member, template))
     if renamed:
         yield Repair.of(Kind.HYDROGENS_RENAMED, count=renamed)
@@ -74,7 +74,7 @@ def _template(
     template = part.template(templates, i, state)
     usual = part.template(templates, i)
     assert usual is not None
-    if member.raw_name.endswith(_BRIDGED) and not shown:
+    if member.raw_name.endswith(_BRIDGED_NAME) and not shown:
         yield Repair.of(Kind.NO_PARTNER, residue=member.residue, name=member.raw_name)
     if template is None:
         yield Repair.of(Kind.USUAL_STATE, residue=member.residue, state=state)
@@ -140,7 +140,7 @@ def _acid_oxygens(member: Member) -> list[str]:
     return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
 
 
-def _state_at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
+def _state_at_ph(member: Member, ph: float, pka: Mapping[int, float] = _NO_PKA) -> str:
     """Return the protonation state at a pH. Empty for the usual state."""
     acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
     if acid and not member.metals and ph <= pka.get(id(member), acid[0]):
@@ -154,7 +154,7 @@ def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, No
     rename(member.atoms, template)
     heavy = member.heavy
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
-    strange, expected = list[str](), template.hydrogens
+    unmatched, expected = list[str](), template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         # If atoms overlap, another heavy atom may be nearer than the parent of that name.
@@ -165,7 +165,7 @@ def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, No
         if nearest.pos.dist(hydrogen.pos) <= BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
-            strange.append(hydrogen.name)
+            unmatched.append(hydrogen.name)
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
@@ -176,9 +176,9 @@ def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, No
             if name not in by_name and unnamed:
                 by_name[name] = unnamed.pop(0)
                 by_name[name].name = name
-        strange += [a.name for a in hydrogens if a not in by_name.values()]
+        unmatched += [a.name for a in hydrogens if a not in by_name.values()]
         member.atoms.append(parent)
         member.atoms += [by_name.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
-    if strange:
-        yield Repair.of(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
+    if unmatched:
+        yield Repair.of(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(unmatched))
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)

@@ -42,7 +42,7 @@ from protochain.structure.preparation.structure_draft import (
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
-PEPTIDE_TORN = 3.0
+PEPTIDE_LONGEST = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to this distance, as in models with distorted bonds.
 Chain ends are further apart: C and N that are not bonded touch at 3.25."""
 _COINCIDENT, _BONDED, _FAR = 0.01, 2.0, 15.0
@@ -178,13 +178,13 @@ def _complete_backbones(
 ) -> Generator[Repair | Omission, None, list[Member]]:
     """Return the residues of a chain that have N, CA and C, also after building missing ones."""
     atom_names = [{atom.name for atom in member.atoms} for member in run]
-    lacking = [not {*residues.BACKBONE} <= names for names in atom_names]
+    is_incomplete = [not {*residues.BACKBONE} <= names for names in atom_names]
     built = [
-        complete_backbone(run, i) if lacking[i] and member.name in residues.STANDARD else ()
+        complete_backbone(run, i) if is_incomplete[i] and member.name in residues.STANDARD else ()
         for i, member in enumerate(run)
     ]
-    bare = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
-    if bare and all(bare):
+    is_alpha_only = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
+    if is_alpha_only and all(is_alpha_only):
         raise OnlyAlphaError(
             f"{draft.source}: chain {chain or '(blank)'} holds only C-alpha atoms; "
             "rebuild the others first, by PULCHRA or cg2all"
@@ -406,4 +406,4 @@ def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int]
 def _is_stretched_bond(last: Member, first: Member, gap: float) -> bool:
     """Whether two residues are bonded despite a long distance."""
     follows = int(first.number) == int(last.number) + 1
-    return follows and gap < PEPTIDE_TORN and not last.atom("OXT") and not last.is_cap and not first.is_cap
+    return follows and gap < PEPTIDE_LONGEST and not last.atom("OXT") and not last.is_cap and not first.is_cap

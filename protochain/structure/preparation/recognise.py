@@ -39,15 +39,15 @@ def template_by_element(member: Member) -> Template:
     )
 
 
-def find_template(member: Member, seen: Template, templates: Iterable[Template]) -> Template | None:
+def find_template(member: Member, molecule: Template, templates: Iterable[Template]) -> Template | None:
     """Find the template with the same bonds of heavy atoms as a molecule."""
     candidates = list(templates)
-    for with_hydrogens in (True, False) if seen.hydrogens else (False,):
-        graph = _graph(seen, with_hydrogens)
+    for with_hydrogens in (True, False) if molecule.hydrogens else (False,):
+        graph = _graph(molecule, with_hydrogens)
         for template in candidates:
             names = _match_atoms(graph, _graph(template, with_hydrogens))
             if names is not None:
-                return _rename_template(template, names, seen, member.name)
+                return _rename_template(template, names, molecule, member.name)
     return None
 
 
@@ -102,24 +102,24 @@ def _outward(bonds: Mapping[str, set[str]]) -> Sequence[str]:
     """Return the atoms in an order in which each is bonded to an earlier one, if any path connects them."""
     order: list[str] = []
     for start in bonds:
-        ahead = [] if start in order else [start]
-        while ahead:
-            name = ahead.pop()
+        stack = [] if start in order else [start]
+        while stack:
+            name = stack.pop()
             if name not in order:
                 order.append(name)
-                ahead += sorted(bonds[name])
+                stack += sorted(bonds[name])
     return order
 
 
-def _rename_template(template: Template, mapping: Mapping[str, str], seen: Template, name: str) -> Template:
+def _rename_template(template: Template, pairs: Mapping[str, str], molecule: Template, name: str) -> Template:
     """Return the template with the molecule's names. Missing hydrogens have the template's names, if free."""
-    names, used = dict(mapping), {*seen.element}
+    names, used = dict(pairs), {*molecule.element}
     for parent, hydrogens in template.hydrogens.items():
-        free_names = list(seen.hydrogens.get(mapping[parent], ()))
+        free_names = list(molecule.hydrogens.get(pairs[parent], ()))
         for hydrogen in hydrogens:
             new = free_names.pop(0) if free_names else hydrogen
             number = 1
-            while not new or (new in used and new not in seen.hydrogens.get(mapping[parent], ())):
+            while not new or (new in used and new not in molecule.hydrogens.get(pairs[parent], ())):
                 new, number = f"H{number}", number + 1
             used.add(new)
             names[hydrogen] = new

@@ -67,7 +67,7 @@ def find_links(draft: Draft) -> tuple[()]:
     if pairs := [link for link in near if not link.is_metal and link not in sprung]:
         close = classify_pairs(draft, pairs)
         refused, overlapping, bonded = close.refused, close.overlapping, {*close.bonded} - listed | sprung
-    refused = [*refused, *_distant_stated_bonds(draft, protein, hetero_atoms)]
+    refused = [*refused, *_long_stated_bonds(draft, protein, hetero_atoms)]
     for link in near:
         if link in listed:
             continue
@@ -112,10 +112,10 @@ def _has_metal(link: Link) -> bool:
     return len(link.hetero.atoms) > 1 and any(a.element.is_metal for a in link.hetero.atoms)
 
 
-_Owned = Sequence[tuple[Member, gemmi.Atom]]
+_OwnedAtoms = Sequence[tuple[Member, gemmi.Atom]]
 
 
-def _close_pairs(draft: Draft, protein: _Owned, hetero_atoms: _Owned) -> list[Link]:
+def _close_pairs(draft: Draft, protein: _OwnedAtoms, hetero_atoms: _OwnedAtoms) -> list[Link]:
     """Return pairs that may be bonded: at bond distance, stated by the file, or with a metal."""
     if not (protein and hetero_atoms):
         return []
@@ -132,7 +132,7 @@ def _close_pairs(draft: Draft, protein: _Owned, hetero_atoms: _Owned) -> list[Li
     return links
 
 
-def _overlapping_pairs(draft: Draft, protein: _Owned) -> Iterator[Link]:
+def _overlapping_pairs(draft: Draft, protein: _OwnedAtoms) -> Iterator[Link]:
     """Yield pairs of protein atoms at bond distance in unbonded residues. Disulfides are found later."""
     if not protein:
         return
@@ -148,7 +148,7 @@ def _overlapping_pairs(draft: Draft, protein: _Owned) -> Iterator[Link]:
             yield link
 
 
-def _distant_stated_bonds(draft: Draft, protein: _Owned, hetero: _Owned) -> Iterator[tuple[Link, str]]:
+def _long_stated_bonds(draft: Draft, protein: _OwnedAtoms, hetero: _OwnedAtoms) -> Iterator[tuple[Link, str]]:
     """Yield stated bonds between the protein and hetero molecules that are too long, with the reason."""
     if not draft.stated_bonds:
         return
