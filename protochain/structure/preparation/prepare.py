@@ -315,9 +315,7 @@ def _index_ligand(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
 
 def _link_indices(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
     """Return the pairs of atom indices of links."""
-    return [
-        (at[id(link.member)][link.atom.name], at[id(link.hetero)][link.hetero_atom.name]) for link in links
-    ]
+    return [(at[id(x.member)][x.atom.name], at[id(x.hetero)][x.hetero_atom.name]) for x in links]
 
 
 def _distinct(draft: Draft, links: list[Link]) -> list[Link]:

@@ -94,8 +94,8 @@ def report_links(draft: Draft) -> Changes:
         elif site[0].is_metal and len(site[0].hetero.atoms) == 1:
             kind = Kind.ION_HELD
         yield _report_site(kind, site)
-    for link, why in draft.contacts.refused:
-        yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=why)
+    for link, reason in draft.contacts.refused:
+        yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=reason)
     if overlapping := [*draft.contacts.overlapping, *_overlapping_pairs(draft, draft.contacts.protein)]:
         pairs = tuple(AtomDistance(link.atoms, link.length) for link in overlapping)
         yield Repair.of(Kind.NEAR, count=len(pairs), pairs=pairs)
