@@ -25,7 +25,7 @@ from protochain.structure.molecule.repairs import Kind, Loss, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
 from protochain.structure.preparation.capping import FragmentBuilder, Place
-from protochain.structure.preparation.hetero_molecules import cut
+from protochain.structure.preparation.hetero_molecules import cut_strand
 from protochain.structure.preparation.ligand_chemistry import (
     LigandChemistry,
     charged_metals,
@@ -97,7 +97,7 @@ def assign_chemistry(draft: Draft) -> Changes:
     if still:
         pieces = list[Part]()
         for part in draft.parts:
-            pieces += yield from cut(part, [m for m in part.members if m in still])
+            pieces += yield from cut_strand(part, [m for m in part.members if m in still])
         draft.parts = pieces
     # Bonds of fragments are part of their energy, and a residue that became its parent has lost atoms.
     gone = {link for link in beside if link not in bonds}

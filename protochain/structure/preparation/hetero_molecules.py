@@ -1,4 +1,4 @@
-"""Molecules kept with the protein: ligands, cofactors, glycans, ions, nucleic acids, waters."""
+"""Hetero molecules of a structure: ligands, cofactors, glycans, ions, nucleic acids, waters."""
 
 import re
 from collections import Counter
@@ -35,29 +35,29 @@ from protochain.structure.preparation.structure_draft import (
 )
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
-"""Words that choose molecules by kind; any other word is the name of a residue."""
+"""Words that select molecules by kind. Any other word is a residue name."""
 JOIN_CUTOFF = 2.0
-"""Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
-_PAIRED, _ABOVE = 3.4, 1.5
-"""Angstrom: length of hydrogen bonds of paired bases, and their rise from the plane of a base; stacked bases
-are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
-_UPON = 0.5
-"""Angstrom: atoms of two molecules nearer than this are in one place."""
-_FARTHEST = max(_PAIRED, STATED)
+"""Angstrom. Molecules with atoms closer than this are parts of one, such as sugars of a glycan (1.4)."""
+_H_BOND, _MAX_RISE = 3.4, 1.5
+"""Angstrom. Largest length of hydrogen bonds of base pairs, and largest height above the plane of a base.
+Stacked bases are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
+_OVERLAP = 0.5
+"""Angstrom. Atoms of two molecules closer than this coincide."""
+_FARTHEST = max(_H_BOND, STATED)
 _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
-"""Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
-then the strand is torn. Ends of two strands of a duplex are 15 apart and more."""
+"""Angstrom. O3' and P further apart than the first are not bonded (1.6). For consecutive numbers the second
+limit applies, because a strand may be torn. Ends of two strands of a duplex are at least 15 apart."""
 _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 _LARGEST = 2000
-"""Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
-archive have some hundreds."""
-_NAMED = 20
+"""Maximum number of atoms of a molecule with parameters by element, because memory grows quadratically. The
+largest in the PDB have some hundreds."""
+_SHOWN = 20
 _DUMMY = ("DUM", "MMB")
-"""Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
+"""Membrane markers of OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and beads of LightDock."""
 
 
 def check_words(words: Iterable[str]) -> None:
-    """Refuse a word that is neither a kind of molecule nor can be the name of a residue."""
+    """Refuse a word that is neither a kind of molecule nor a possible residue name."""
     for word in words:
         if word not in KINDS and not re.fullmatch(r"[A-Z0-9+-]{1,5}", word):
             raise StructureError(
@@ -66,47 +66,49 @@ def check_words(words: Iterable[str]) -> None:
 
 
 def choose_hetero(draft: Draft) -> Changes:
-    """Choose the molecules to keep beside the protein; count and report the others."""
+    """Choose the hetero molecules of the structure, and count and report the omitted ones."""
     keep, chemistry, candidates = draft.reading.keep, draft.reading.chemistry, draft.hetero_residues
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
-    # The chemistry of an amino acid in a chain may be given, too.
+    # The user may also define amino acids in a chain.
     of_chains = {member.raw_name or member.name for member in draft.members if member.is_unknown}
     _refuse_unknown_names(draft, candidates, [*{*chemistry.user_sources} - of_chains], "ligand ")
-    usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
+    # Find strands, and candidates near the protein.
+    usable = [candidate for candidate in candidates if not _unusable_reason(candidate.member)]
     strands = {
-        id(each)
-        for pair in pairwise(candidates) if _is_bonded(*(each.member for each in pair))
-        for each in pair
+        id(residue)
+        for pair in pairwise(candidates) if _is_bonded(*(residue.member for residue in pair))
+        for residue in pair
     }  # fmt: skip
-    near = _near(draft, usable, chemistry.moving, strands) if "near" in keep else set()
+    near = _near_protein(draft, usable, chemistry.moving, strands) if "near" in keep else set()
     chosen = []
-    gone: Counter[tuple[str, Reason | None]] = Counter()
+    omitted: Counter[tuple[str, Reason | None]] = Counter()
     lost: list[Loss] = []
+    # Select candidates by the words of ``keep``, and count the others.
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.raw_name}
         words |= {"nucleic"} if id(candidate) in strands else set()
         is_given = candidate.raw_name in chemistry.moving
-        # A result names what it kept, which may have come further away.
+        # An input written by protochain lists its hetero molecules, which may have moved away.
         if id(candidate) in near or draft.lists(candidate.member):
             words.add("near")
-        why = _why_unusable(candidate.member)
-        if (is_given or words & {*keep}) and not why:
+        reason = _unusable_reason(candidate.member)
+        if (is_given or words & {*keep}) and not reason:
             chosen.append(candidate)
             continue
         draft.omitted.append(candidate.member)
-        if not why and "near" in keep and candidate.kind != "water":
-            why = Reason.FAR
-        if why:
-            lost += losses(candidate.member, candidate.member.atoms, why)
-        gone[("waters" if candidate.kind == "water" else candidate.raw_name, why)] += 1
-    for (kind, _), count in gone.items():
+        if not reason and "near" in keep and candidate.kind != "water":
+            reason = Reason.FAR
+        if reason:
+            lost += losses(candidate.member, candidate.member.atoms, reason)
+        omitted[("waters" if candidate.kind == "water" else candidate.raw_name, reason)] += 1
+    for (kind, _), count in omitted.items():
         yield Omission(kind, count)
-    yield from _report_coincident([each.member for each in chosen])
-    yield from report_unresolved([each.member for each in chosen])
+    yield from _report_coincident([residue.member for residue in chosen])
+    yield from report_unresolved([residue.member for residue in chosen])
     draft.parts += yield from _group(draft, chosen)
-    if gone:
-        counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
+    if omitted:
+        counts = tuple(Count(n, kind, reason or "") for (kind, reason), n in omitted.items())
         facts = {"counts": counts, "count": counts[0].n, "remedy": KEEP_ALL}
         dry = any(count.kind != "waters" for count in counts)
         left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
@@ -115,25 +117,25 @@ def choose_hetero(draft: Draft) -> Changes:
 
 def require_chain(draft: Draft) -> tuple[()]:
     """Refuse a file without protein and nucleic acids."""
-    # A trace of single atoms is no strand.
+    # A trace of single atoms is not a strand.
     if not any(not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1) for p in draft.parts):
-        raise StructureError(f"{draft.source}: ", *_about_rest(draft.hetero_residues))
+        raise StructureError(f"{draft.source}: ", *_no_chain_message(draft.hetero_residues))
     return ()
 
 
-def _about_rest(beside: Iterable[HeteroResidue]) -> tuple[object, ...]:
-    """What there is where there is no chain to work with, and what to do."""
-    kinds = Counter("waters" if each.kind == "water" else each.raw_name for each in beside)
-    each = [
+def _no_chain_message(candidates: Iterable[HeteroResidue]) -> tuple[object, ...]:
+    """Return a message that lists the molecules of a file without a chain, and the remedy."""
+    kinds = Counter("waters" if residue.kind == "water" else residue.raw_name for residue in candidates)
+    counts = [
         counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
         for kind, n in kinds.items()
     ]
-    found = listed(each, 8)
-    what = f"no protein found{found and f', only {found}'}; "
-    if any(each.kind == "nucleic" for each in beside):
-        return what, "keep them by ", KEEP_ALL
-    single = any(each.raw_name in residues.STANDARD for each in beside)
-    return what, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
+    listing = listed(counts, 8)
+    text = f"no protein found{listing and f', only {listing}'}; "
+    if any(residue.kind == "nucleic" for residue in candidates):
+        return text, "keep them by ", KEEP_ALL
+    single = any(residue.raw_name in residues.STANDARD for residue in candidates)
+    return text, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
 
 
 def report_unresolved(members: Sequence[Member]) -> Changes:
@@ -145,9 +147,9 @@ def report_unresolved(members: Sequence[Member]) -> Changes:
 
 
 def _report_coincident(members: Sequence[Member]) -> Changes:
-    """Report molecules that lie upon one another and are no alternates by their occupancies."""
+    """Report molecules that coincide although their occupancies do not mark them as alternates."""
     ends = [(m, a) for m in members for a in m.heavy]
-    near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
+    near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_OVERLAP) if ends else set()
     pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
     for (first, second), number in pairs.items():
         if first != second and number > 1:
@@ -155,22 +157,22 @@ def _report_coincident(members: Sequence[Member]) -> Changes:
 
 
 def _refuse_unknown_names(
-    draft: Draft, candidates: Sequence[HeteroResidue], asked: Sequence[str], why: str
+    draft: Draft, candidates: Sequence[HeteroResidue], requested: Sequence[str], kind: str
 ) -> None:
-    """Refuse the name of a residue that no molecule has: it would keep, or tell, nothing."""
+    """Refuse a residue name without any molecule, because it would have no effect."""
     names = {name for candidate in candidates for name in (candidate.raw_name, candidate.member.name)}
-    unknown = next((word for word in asked if word not in KINDS and word not in names), None)
+    unknown = next((word for word in requested if word not in KINDS and word not in names), None)
     if unknown is not None:
-        count = Counter("" if each.kind == "water" else each.raw_name for each in candidates)
-        there = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_NAMED)]
-        more = f" and {counted(len(count) - _NAMED, 'more kind')}" if len(count) > _NAMED else ""
+        count = Counter("" if residue.kind == "water" else residue.raw_name for residue in candidates)
+        present = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_SHOWN)]
+        remainder = f" and {counted(len(count) - _SHOWN, 'more kind')}" if len(count) > _SHOWN else ""
         raise StructureError(
-            f"{draft.source}: {why}{unknown}: no molecule kept with the protein has this name; those there: "
-            f"{', '.join(there) or 'none'}{more}"
+            f"{draft.source}: {kind}{unknown}: no molecule kept with the protein has this name; those there: "
+            f"{', '.join(present) or 'none'}{remainder}"
         )
 
 
-def _why_unusable(member: Member) -> Reason | None:
+def _unusable_reason(member: Member) -> Reason | None:
     if member.name in _DUMMY:
         return Reason.DUMMY
     if not all(atom.element.atomic_number for atom in member.atoms) or all(
@@ -180,39 +182,39 @@ def _why_unusable(member: Member) -> Reason | None:
     return Reason.CHARGE if len(member.atoms) == 1 and not has_known_charge(member.atoms[0]) else None
 
 
-def _near(
-    draft: Draft, candidates: Sequence[HeteroResidue], given: Container[str], strands: Container[int]
+def _near_protein(
+    draft: Draft, candidates: Sequence[HeteroResidue], user_names: Container[str], strands: Container[int]
 ) -> set[int]:
-    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has.
+    """Return ``id`` of candidates near the protein, and of all candidates connected to these.
 
-    Molecules that the user gives, poses among them, count as the protein does: their site is kept whole.
+    Molecules defined by the user, including poses, count as protein, so that their site is complete.
     """
-    # Of a file without protein, its nucleic acids.
-    nucleic = [each.member for each in candidates if each.kind == "nucleic" or id(each) in strands]
-    whole = draft.members or nucleic
-    whole = [*whole, *(each.member for each in candidates if each.raw_name in given)]
-    protein = [a.pos.tolist() for member in whole for a in member.heavy]
+    # Without protein, use the nucleic acids.
+    nucleic = [r.member for r in candidates if r.kind == "nucleic" or id(r) in strands]
+    site = draft.members or nucleic
+    site = [*site, *(r.member for r in candidates if r.raw_name in user_names)]
+    protein = [a.pos.tolist() for member in site for a in member.heavy]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
         return set()
     ends = [(k, a) for k, candidate in enumerate(dry) for a in candidate.member.atoms]
     owner, x = np.array([k for k, _ in ends]), np.array([a.pos.tolist() for _, a in ends])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
-    group = components(_joined(draft, [each.member for each in dry], ends, owner, x), len(dry))
+    group = components(_bonded_pairs(draft, [r.member for r in dry], ends, owner, x), len(dry))
     touching = np.unique(group[owner[np.isfinite(distance)]])
-    return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
+    return {id(candidate) for candidate, g in zip(dry, group, strict=True) if g in touching}
 
 
-def _joined(
+def _bonded_pairs(
     draft: Draft,
     members: Sequence[Member],
     ends: Sequence[tuple[int, gemmi.Atom]],
     owner: Integers,
     x: Floats,
 ) -> Integers:
-    """Pairs (n, 2) of residues: bonded ones, a metal and what holds it, and nucleotides with paired bases."""
+    """Return pairs (n, 2) of bonded residues, of metals with their donors, and of paired nucleotides."""
     near = KDTree(x).query_pairs(_FARTHEST, output_type="ndarray")
-    # Hydrogens, which a file may have or not, decide nothing: those of hydrogen bonds are nearer than JOINED.
+    # Hydrogens are ignored: not all files have them, and hydrogen bonds are shorter than JOIN_CUTOFF.
     heavy = np.array([not atom.is_hydrogen() for _, atom in ends])
     near = near[(owner[near[:, 0]] != owner[near[:, 1]]) & heavy[near].all(axis=1)]
     length = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
@@ -225,21 +227,21 @@ def _joined(
         is_stated = {address[i], address[j]} in stated
         if metal[i] != metal[j]:
             donor, ion = (i, j) if metal[j] else (j, i)
-            (k, atom), (other, its) = ends[donor], ends[ion]
-            is_joined[row] = Link(members[k], atom, members[other], its, is_stated).is_coordinated
+            (k, atom), (ion_owner, ion_atom) = ends[donor], ends[ion]
+            is_joined[row] = Link(members[k], atom, members[ion_owner], ion_atom, is_stated).is_coordinated
         else:
             is_joined[row] = is_stated
-    return np.vstack([owner[near[is_joined]], _paired(members, ends, owner, x, near[length <= _PAIRED])])
+    return np.vstack([owner[near[is_joined]], _base_pairs(members, ends, owner, x, near[length <= _H_BOND])])
 
 
-def _paired(
+def _base_pairs(
     members: Sequence[Member],
     ends: Sequence[tuple[int, gemmi.Atom]],
     owner: Integers,
     x: Floats,
     near: Integers,
 ) -> Integers:
-    """Pairs (n, 2) of nucleotides two of whose base atoms are at hydrogen bonds in the plane of a base."""
+    """Return pairs (n, 2) of nucleotides with two or more hydrogen bonds in the plane of a base."""
     sugar = np.array([member.atom("C1'") is not None for member in members])
     in_base = np.array([sugar[k] and "'" not in a.name and a.name not in _PHOSPHATE for k, a in ends])
     polar = in_base & np.array([atom.element.name in ("N", "O") for _, atom in ends])
@@ -248,15 +250,15 @@ def _paired(
         i, j = (i, j) if owner[i] < owner[j] else (j, i)
         base = x[in_base & (owner == owner[i])]
         normal = np.linalg.svd(base - base.mean(axis=0))[2][2]
-        if abs(normal @ (x[j] - x[i])) <= _ABOVE:
+        if abs(normal @ (x[j] - x[i])) <= _MAX_RISE:
             bonds.setdefault((int(owner[i]), int(owner[j])), []).append((i, j))
-    found = [pair for pair, its in bonds.items() if min(len({*end}) for end in zip(*its, strict=True)) > 1]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    pairs = [pair for pair, ij in bonds.items() if min(len({*end}) for end in zip(*ij, strict=True)) > 1]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | Omission, None, list[Part]]:
-    """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
-    known, chemistry = draft.templates, draft.reading.chemistry
+    """Group residues into molecules. Bonded nucleotides form a strand, others are single residues."""
+    ff, chemistry = draft.templates, draft.reading.chemistry
     parts: list[Part] = []
     for candidate in chosen:
         member = candidate.member
@@ -266,26 +268,28 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
         else:
             parts.append(Part(member.chain_id, [member], Evidence.ELEMENTS))
     if parts:
-        yield from glycans.select_glycans(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
-    for part in (each for each in parts if not each.glycam_code):
+        yield from glycans.select_glycans(draft, parts, ff.keys() | chemistry.moving, chemistry.has_glycam)
+    for part in (p for p in parts if not p.glycam_code):
         yield from _trim(part)
+    # Cut strands at nucleotides without parameters.
     pieces = list[Part]()
     for part in parts:
-        pieces += yield from _pieces(part, known, chemistry.has_sage)
+        pieces += yield from _split(part, ff, chemistry.has_sage)
     for part in pieces:
-        first, whole = part.members[0], [*part.members[0].atoms]
+        first, all_atoms = part.members[0], [*part.members[0].atoms]
         if first.template is not None:
             continue
         if len(part.members) == 1 and part.is_strand and not first.links:
-            first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
-        found = [part.template(known, i) for i in range(len(part.members))]
-        fits = all(m.is_unknown or _fits(m, its) for m, its in zip(part.members, found, strict=True))
+            first.atoms = [atom for atom in all_atoms if atom.name not in _PHOSPHATE]
+        templates = [part.template(ff, i) for i in range(len(part.members))]
+        fits = all(m.is_unknown or _fits(m, fit) for m, fit in zip(part.members, templates, strict=True))
+        # Use the templates of the force field if all fit, or else parameters by element.
         if fits:
-            is_users = len(found) == 1 and found[0] is not None and found[0].is_users
+            is_users = len(templates) == 1 and templates[0] is not None and templates[0].is_users
             strand = Evidence.NUCLEOTIDES if part.is_strand else Evidence.BUNDLED_TEMPLATE
             part.evidence = Evidence.USERS_TEMPLATE if is_users else strand
         else:
-            first.atoms = whole
+            first.atoms = all_atoms
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
                     raise StructureError(
@@ -295,21 +299,21 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
                 charge_cluster(member.name, member.atoms)
                 member.source = member.source if member.is_unknown else template_by_element(member)
             if len(part.members) == 1:
-                users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
+                users = (t for t in ff.values() if t.is_users and t.name not in residues.STANDARD)
                 is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
                 seen = first.template
                 if template := seen and find_template(first, seen, users):
                     first.source, part.evidence = template, Evidence.USERS_TEMPLATE
                 elif not (is_ion or first.name in residues.NUCLEOTIDES):
                     part.evidence = Evidence.SMALL
-        if fits and len(whole) > len(first.atoms):
-            lost = losses(first, [atom for atom in whole if atom not in first.atoms], Reason.PHOSPHATE)
+        if fits and len(all_atoms) > len(first.atoms):
+            lost = losses(first, [atom for atom in all_atoms if atom not in first.atoms], Reason.PHOSPHATE)
             yield Repair.of(Kind.PHOSPHATE, lost, residue=first.residue)
     return pieces
 
 
 def _trim(part: Part) -> Changes:
-    """Leave out the end of a strand of which only the phosphate was seen."""
+    """Remove the last nucleotides of a strand if only their phosphates are resolved."""
     while (
         len(part.members) > 1
         and part.is_strand
@@ -320,19 +324,19 @@ def _trim(part: Part) -> Changes:
         yield Repair.of(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 
-def _pieces(part: Part, known: Mapping[str, Template], has_sage: bool) -> Generator[Repair, None, list[Part]]:
-    """Cut a strand at the nucleotides without parameters; modified ones are to get their own."""
+def _split(part: Part, ff: Mapping[str, Template], has_sage: bool) -> Generator[Repair, None, list[Part]]:
+    """Cut a strand at nucleotides without parameters, except modified ones, which are parametrised later."""
     if len(part.members) == 1:
         return [part]
-    strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
+    strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(ff, i))]
     for member in strange:
         if has_sage and member.name not in residues.NUCLEOTIDES:
             member.source = Unknown()
-    return (yield from cut(part, [member for member in strange if not member.is_unknown]))
+    return (yield from cut_strand(part, [member for member in strange if not member.is_unknown]))
 
 
-def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
-    """Cut a strand at nucleotides without parameters, which stay in place, and report it."""
+def cut_strand(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
+    """Cut a strand at nucleotides without parameters, which become fixed, and report them."""
     if not strange:
         return [part]
     pieces: list[Part] = []
@@ -341,15 +345,13 @@ def cut(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[P
         if not i or moves == (before in strange):
             pieces.append(Part(part.chain_id, [], Evidence.NUCLEOTIDES if moves else Evidence.ELEMENTS))
             if i:
-                # Beside it, the strand goes on.
+                # The strand continues next to the fixed nucleotide.
                 one, name = (member, "P") if moves else (before, "O3'")
                 one.links += [atom for atom in one.atoms if atom.name == name]
         pieces[-1].members.append(member)
     for member in strange:
         member.source = template_by_element(member)
-    yield Repair.of(
-        Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
-    )
+    yield Repair.of(Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(m.residue for m in strange))
     return pieces
 
 
@@ -362,7 +364,7 @@ def _is_bonded(last: Member, first: Member) -> bool:
 
 
 def _fits(member: Member, template: Template | None) -> bool:
-    """Whether a template has exactly the heavy atoms of a residue, which is no amino acid."""
+    """Return whether a template has exactly the heavy atoms of a residue that is not an amino acid."""
     if template is None or member.name in residues.STANDARD or member.name in residues.CAPS:
         return False
     heavy = {template.synonyms.get(a.name, a.name) for a in member.heavy}
@@ -371,18 +373,18 @@ def _fits(member: Member, template: Template | None) -> bool:
 
 
 def report_hetero(draft: Draft) -> Changes:
-    """Report the molecules that are kept."""
-    its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
-    if its:
-        counts = Counter("waters" if m.name == "HOH" else m.raw_name or m.name for _, m in its).most_common()
-        bare = {m.raw_name or m.name for part, m in its if m.template and not part.mobile}
+    """Report the hetero molecules."""
+    rows = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
+    if rows:
+        counts = Counter("waters" if m.name == "HOH" else m.raw_name or m.name for _, m in rows).most_common()
+        bare = {m.raw_name or m.name for part, m in rows if m.template and not part.mobile}
         facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
         yield Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts)
 
 
-def rename_water(member: Member, given: str) -> Member:
-    """Return a residue that is water in the tables under the name of water, or as unknown by its atoms."""
-    if not gemmi.find_tabulated_residue(given).is_water():
+def rename_water(member: Member, name: str) -> Member:
+    """Rename a residue with a name of water to HOH, or to UNL if its atoms are not water."""
+    if not gemmi.find_tabulated_residue(name).is_water():
         return member
     is_water = {a.element.name for a in member.heavy if a.element.atomic_number} <= {"O"}
     return replace(member, name="HOH" if is_water else "UNL")
