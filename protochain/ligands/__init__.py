@@ -65,13 +65,13 @@ class Ligand(Value):
         ProtochainError
             If positions are missing or have another shape.
         """
-        at = self.molecule.positions if x is None else x
-        if at is None:
+        positions = self.molecule.positions if x is None else x
+        if positions is None:
             raise StructureError(
                 f"{self.molecule.source}: has no coordinates in space; give a file that has, or ",
                 Argument("x"),
             )
-        return energy.terms(self.parameters, floats(at, (self.molecule.n_atoms, 3), "x", "nanometer"))
+        return energy.terms(self.parameters, floats(positions, (self.molecule.n_atoms, 3), "x", "nanometer"))
 
 
 def _file_or_smiles(value: Any, name: str) -> str | Path:

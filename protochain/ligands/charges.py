@@ -67,10 +67,10 @@ def _of_mol2(lines: list[str]) -> list[list[str]]:
 
 def _correct_sum(molecule: Molecule, charges: Floats, source: str) -> Floats:
     """Charges whose sum is the formal charge. The rounding error is spread over all atoms."""
-    off = molecule.charge - float(charges.sum())
-    if not abs(off) <= _ROUNDING:
+    difference = molecule.charge - float(charges.sum())
+    if not abs(difference) <= _ROUNDING:
         raise ForceFieldError(
             f"{source}: charges sum to {charges.sum():g}, not to {molecule.charge}, the formal charge of "
             f"{molecule.source}; give its charges as ", Argument("charges"),
         )  # fmt: skip
-    return charges + off / len(charges)
+    return charges + difference / len(charges)

@@ -35,11 +35,11 @@ class Parameters(Value):
         """Interacting pairs (m, 2), and the factors (m,) of their two energies."""
         n = len(self.charge)
         near = neighbours(self.bonds.atoms, n)
-        close = np.eye(n, dtype=bool)
-        reach = [close]
+        within = np.eye(n, dtype=bool)
+        reach = [within]
         for _ in range(3):
-            close = close | np.array([close[list(around)].any(0) for around in near]).reshape(n, n)
-            reach.append(close)
+            within = within | np.array([within[list(around)].any(0) for around in near]).reshape(n, n)
+            reach.append(within)
         i, j = np.nonzero(np.triu(~reach[2], 1))
         third = reach[3][i, j]
         lj, coulomb = np.where(third, self.scale_lj, 1.0), np.where(third, self.scale_coulomb, 1.0)

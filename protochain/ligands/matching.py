@@ -222,8 +222,8 @@ def _difference(model_elements: Any, model_bonds: Any, source_elements: Any, sou
     )
     lacks = source - model or model - source
     word = "lacks" if source - model else "has more of"
-    noted = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
-    return f"it {word} bonds: {noted}" if noted else "other atoms of the same elements are joined"
+    counts = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
+    return f"it {word} bonds: {counts}" if counts else "other atoms of the same elements are joined"
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:

@@ -199,11 +199,11 @@ def _double_bonds(mol: Any, names: tuple[str, ...]) -> tuple[list[list[int]], li
 
 def _names(mol: Any) -> tuple[str, ...]:
     """Names of the atoms, if they are unique. Other names are made of element and number."""
-    stated = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in mol.GetAtoms()]
-    often = Counter(stated)
-    used = {name for name in stated if name and often[name] == 1}
+    source_names = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in mol.GetAtoms()]
+    often = Counter(source_names)
+    used = {name for name in source_names if name and often[name] == 1}
     names = []
-    for name, atom in zip(stated, mol.GetAtoms(), strict=True):
+    for name, atom in zip(source_names, mol.GetAtoms(), strict=True):
         if name not in used:
             made_up = (f"{atom.GetSymbol()}{number}" for number in count(1))
             name = next(candidate for candidate in made_up if candidate not in used)

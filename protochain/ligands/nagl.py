@@ -214,25 +214,25 @@ def _lowest(form: Form, group: list[Any]) -> list[Form]:
     # Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
     # donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
     # lowest one or two moves lead to a lower one, and at one energy from each lowest to all.
-    while (lower := next((to for cost, to in _steps(form, group) if cost < 0), None)) is not None:
+    while (lower := next((new_form for cost, new_form in _steps(form, group) if cost < 0), None)) is not None:
         form = lower
     forms = {form[0]: form}
     reached = [form]
     for current in reached:
-        for cost, to in _steps(current, group):
-            if cost == 0 and to[0] not in forms:
-                forms[to[0]] = to
-                reached.append(to)
+        for cost, new_form in _steps(current, group):
+            if cost == 0 and new_form[0] not in forms:
+                forms[new_form[0]] = new_form
+                reached.append(new_form)
     return reached
 
 
 def _steps(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
     """Forms one or two moves away that are not higher, with their costs."""
-    for cost, to in _moves(form, group, 2 * _PAIR):
+    for cost, new_form in _moves(form, group, 2 * _PAIR):
         if cost <= 0:
-            yield cost, to
+            yield cost, new_form
         else:
-            yield from ((cost + second_cost, last) for second_cost, last in _moves(to, group, -cost))
+            yield from ((cost + second_cost, last) for second_cost, last in _moves(new_form, group, -cost))
 
 
 def _moves(form: Form, group: list[Any], limit: int) -> Iterator[tuple[int, Form]]:

@@ -443,11 +443,11 @@ def _settle_phenols(state: Any, ph: float) -> None:
         # The ring of a match is in order, from the carbon of the hydroxyl.
         for site, _, *ring in _matches(state, _PHENOL):
             if not state.GetAtomWithIdx(site).GetFormalCharge():
-                at = [
+                constants = [
                     sigma.get(carbon, (0.0,) * 3)[place] for carbon, place in zip(ring, _PLACES, strict=True)
                 ]
                 alone, slope = _HAMMETT[state.GetAtomWithIdx(site).GetSymbol()]
-                pka[site] = min(alone - slope * sum(at), pka.get(site, np.inf))
+                pka[site] = min(alone - slope * sum(constants), pka.get(site, np.inf))
         if not pka or min(pka.values()) >= ph:
             return
         _change(state.GetAtomWithIdx(min(pka, key=lambda k: (pka[k], k))), -1)
@@ -502,8 +502,8 @@ def _draw_enolate(state: Any, site: Any) -> None:
 def _drawing(atom: Any) -> int:
     """Number of neighbours of an atom's neighbours, without saturated carbons."""
     sp3 = library("rdkit.Chem").HybridizationType.SP3
-    far = (second for near in atom.GetNeighbors() for second in near.GetNeighbors())
-    return sum(second.GetAtomicNum() != 6 or second.GetHybridization() != sp3 for second in far)
+    atoms = (second for near in atom.GetNeighbors() for second in near.GetNeighbors())
+    return sum(second.GetAtomicNum() != 6 or second.GetHybridization() != sp3 for second in atoms)
 
 
 def _change(atom: Any, gain: int) -> None:

@@ -250,10 +250,10 @@ _FORMS = {
 def _require(path: Path, node: ElementTree.Element, **expected: str) -> None:
     """Refuse a section with another meaning than the computed one. Absent attributes have usual values."""
     for name, value in expected.items():
-        stated = node.get(name, value)
-        if stated != value and not (name.startswith("scale") and _number(stated) == float(value)):
+        actual = node.get(name, value)
+        if actual != value and not (name.startswith("scale") and _number(actual) == float(value)):
             raise ForceFieldError(
-                f"{path}: {name} of <{node.tag}> is {stated[:60]!r}; only {value!r} is handled"
+                f"{path}: {name} of <{node.tag}> is {actual[:60]!r}; only {value!r} is handled"
             )
 
 

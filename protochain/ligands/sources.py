@@ -206,9 +206,9 @@ def _of_tables(header: str, name: str, model: Mapping[str, tuple[str, int]]) -> 
             charge = row.str(3) if row.has(3) else ""
             is_charged |= bool(charge)
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
-    drawn = {end for row in bonds for end in row[:2]}
+    bonded = {end for row in bonds for end in row[:2]}
     # Hydrogens of which the table has no bond follow from the others.
-    atoms = atoms or {a: atom for a, atom in model.items() if a in drawn or atom[0] not in ("H", "D")}
+    atoms = atoms or {a: atom for a, atom in model.items() if a in bonded or atom[0] not in ("H", "D")}
     # The table of bonds has leaving atoms and hydrogens, which a model may lack.
     bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
     names = list(atoms)
@@ -323,5 +323,5 @@ def _unknown_chemistry(name: str) -> StructureError:
 
 
 def _short(text: object) -> str:
-    stated = ascii(str(text))
-    return stated if len(stated) <= 60 else f"{stated[:57]}..."
+    escaped = ascii(str(text))
+    return escaped if len(escaped) <= 60 else f"{escaped[:57]}..."

@@ -40,9 +40,9 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
     from scipy.optimize import minimize
 
     def value(scaled: Floats) -> tuple[float, Floats]:
-        at = x.copy()
-        at[moving] = _UNIT * scaled.reshape(-1, 3)
-        terms, gradient = function(at)
+        positions = x.copy()
+        positions[moving] = _UNIT * scaled.reshape(-1, 3)
+        terms, gradient = function(positions)
         energy = sum(terms.values())
         return (energy, _UNIT * gradient[moving].ravel()) if np.isfinite(energy) else (1e300, 0.0 * scaled)
 
@@ -52,9 +52,9 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
             value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
             options={"gtol": _UNIT * _TOLERANCE, "ftol": 0, "maxiter": _MOST, "maxfun": _MOST, "maxcor": 20},
         )  # fmt: skip
-    at = x.copy()
-    at[moving] = _UNIT * result.x.reshape(-1, 3)
-    return at
+    positions = x.copy()
+    positions[moving] = _UNIT * result.x.reshape(-1, 3)
+    return positions
 
 
 def energy_and_gradient(parameters: Parameters, x: Floats) -> tuple[float, Floats]:

@@ -110,8 +110,8 @@ def as_remarks(tables: Mapping[str, Rows], complete: Collection[str]) -> list[st
         category: [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in table]
         for category, table in tables.items() if category in (CATEGORY, _ATOMS, _BONDS)
     }  # fmt: skip
-    stated = [row for row in plain.get(CATEGORY, []) if row.keys() >= {"comp_id", "kind", "atoms"}]
-    lines = [[row["comp_id"], row["kind"], row["atoms"]] for row in stated]
+    selected = [row for row in plain.get(CATEGORY, []) if row.keys() >= {"comp_id", "kind", "atoms"}]
+    lines = [[row["comp_id"], row["kind"], row["atoms"]] for row in selected]
     for category, (kind, items) in _IN_REMARKS.items():
         lines += [
             [row["comp_id"], kind, *(row[item] for item in items)]

@@ -119,7 +119,7 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     fixed, q, undriven = _given_coordinates(bodies), bodies.q, tree.undriven_v
     for approached in _approaches(bodies, closings):
         parts = [joint.bind(bodies) for joint in approached]
-        of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
+        joint_of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
         columns: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("body", "turns", "point", "along")
@@ -131,14 +131,14 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
             assembled, worst = _assemble(nearby, joints, undriven)
         if assembled is None:
             raise MechanicsError(
-                f"{closings[of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of "
+                f"{closings[joint_of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of "
                 "hinges nearer to where it closes",
                 fault=Fault.OPEN,
             )
         q = assembled
     joints = replace(joints, rank=_constant_rank(bodies, joints, q, undriven))
-    qd = _rates(bodies, joints, q, undriven, [joint.label for joint in closings], of)
-    names = tuple(closings[k].name for k in of.tolist())
+    qd = _rates(bodies, joints, q, undriven, [joint.label for joint in closings], joint_of)
+    names = tuple(closings[k].name for k in joint_of.tolist())
     return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
 
 

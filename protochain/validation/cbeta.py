@@ -54,7 +54,7 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
         place_points(n, c, alpha, length, np.radians(from_c), np.radians(sign * round_c))
         + place_points(c, n, alpha, length, np.radians(from_n), np.radians(sign * round_n))
     )
-    out = middle - alpha
-    out[~out.any(axis=1), 0] = 1.0  # Of atoms at one point, where no way is out.
-    out = length[:, None] * unit(out)
-    return Deviations(residue, np.linalg.norm(beta - alpha - out, axis=1))
+    arm = middle - alpha
+    arm[~arm.any(axis=1), 0] = 1.0  # Atoms at one point have no direction.
+    arm = length[:, None] * unit(arm)
+    return Deviations(residue, np.linalg.norm(beta - alpha - arm, axis=1))

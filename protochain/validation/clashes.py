@@ -113,8 +113,8 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     pairs, overlap = pairs[deep], overlap[deep]
     free = ~_is_excluded(structure, *pairs.T)
     pairs, overlap = pairs[free], overlap[free]
-    seen = _is_seen(structure, tree, pairs)
-    pairs, overlap = pairs[seen], overlap[seen]
+    is_visible = _is_seen(structure, tree, pairs)
+    pairs, overlap = pairs[is_visible], overlap[is_visible]
     order = np.lexsort((pairs[:, 1], pairs[:, 0], -overlap))
     return Clashes(read_only(pairs[order], np.int64), read_only(overlap[order]), structure.n_atoms)
 

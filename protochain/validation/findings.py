@@ -268,9 +268,9 @@ def _residues(findings: Findings, residues: Any) -> list[str]:
 
 def _at_interfaces(findings: Findings) -> list[str]:
     """Pairs of residues of two chains that clash, the worst first."""
-    of, s = findings.structure.atom_residue[findings.clashes.pairs], findings.structure
-    between = s.residue_chain[of[:, 0]] != s.residue_chain[of[:, 1]]
-    pairs = dict.fromkeys(map(tuple, np.sort(of[between], axis=1).tolist()))
+    residues, s = findings.structure.atom_residue[findings.clashes.pairs], findings.structure
+    between = s.residue_chain[residues[:, 0]] != s.residue_chain[residues[:, 1]]
+    pairs = dict.fromkeys(map(tuple, np.sort(residues[between], axis=1).tolist()))
     return [f"{s.residue(i)} with {s.residue(j)}" for i, j in pairs]
 
 

@@ -85,7 +85,7 @@ def places(structure: Structure) -> tuple[Integers, Integers]:
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
     kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)
     kind[structure.atom_residue[structure.kept]] = -1
-    at = np.full((structure.n_residues, WIDTH), -1, dtype=np.int64)
+    atom_at = np.full((structure.n_residues, WIDTH), -1, dtype=np.int64)
     residue = structure.atom_residue
     heavy = np.flatnonzero((structure.atom_element != "H") & (kind[residue] >= 0))
     table = slots()
@@ -94,5 +94,5 @@ def places(structure: Structure) -> tuple[Integers, Integers]:
     ):
         place = table.get((names[r], name))
         if place is not None:
-            at[r, place] = atom
-    return read_only(at, np.int64), read_only(kind, np.int64)
+            atom_at[r, place] = atom
+    return read_only(atom_at, np.int64), read_only(kind, np.int64)

@@ -337,8 +337,8 @@ def _energy_scores(structure: Structure, energy: NativeEnergy, parts: Sides) -> 
 
 def _buried_areas(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
     """Areas that the sides lose, their fit, and the remaining and lost areas of atoms (na,)."""
-    of, polar = structure.atom_residue, _polar(structure)
-    masks = [part[of] for part in parts]
+    residue_of, polar = structure.atom_residue, _polar(structure)
+    masks = [part[residue_of] for part in parts]
     together, lost = _areas(structure, *masks)
     heavy = [mask & (structure.atom_element != "H") for mask in masks]
     spheres = [(ANGSTROM_PER_NM * structure.positions[side], united_radii(structure)[side]) for side in heavy]
@@ -354,7 +354,7 @@ def _buried_areas(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Fl
             structure, structure.positions, *map(np.flatnonzero, masks)
         ),
     }  # fmt: skip
-    column = np.bincount(of, lost, structure.n_residues)
+    column = np.bincount(residue_of, lost, structure.n_residues)
     return _Scored(scores, {"buried_area_angstrom2": column}), (together, lost)
 
 
@@ -375,9 +375,9 @@ def _makeup(
     fold, scores = secondary_structure(structure), dict[str, float | None]()
     for k, part in enumerate(parts):
         near = np.unique(touching[:, k])
-        per = 100.0 / len(near) if len(near) else None
+        scale = 100.0 / len(near) if len(near) else None
         counts = {"hydrogen_bonds": row["hydrogen_bonds"], "unsatisfied": row["unsatisfied_polar_atoms"]}
-        shares = {key: None if per is None else per * n for key, n in counts.items()}
+        shares = {key: None if scale is None else scale * n for key, n in counts.items()}
         amino = near[fold[near] != ""]
         shares["hydrophobic"] = _percent(np.isin(structure.residue_name[amino], _HYDROPHOBIC))
         for kind, name in (("helix", "helix"), ("sheet", "strand"), ("loop", "loop")):
@@ -393,16 +393,16 @@ def _percent(mask: NDArray[np.bool_]) -> float | None:
 
 def _bond_scores(structure: Structure, parts: Sides, together: Floats, lost: Floats) -> _Scored:
     """Hydrogen bonds, salt bridges and clashes across, and polar atoms that are buried without a bond."""
-    of = structure.atom_residue
-    masks = [part[of] for part in parts]
+    residue_of = structure.atom_residue
+    masks = [part[residue_of] for part in parts]
     bonds = hydrogen_bonds(structure)
     bonds = bonds[(masks[0] | masks[1])[bonds].all(axis=1)]
     clashing = clashes(structure).pairs
     residues: dict[str, Integers | Sequence[tuple[int, int]]] = {
-        "hydrogen_bonds": of[bonds[_across(masks, bonds[:, [0, 2]])][:, [0, 2]]],
+        "hydrogen_bonds": residue_of[bonds[_across(masks, bonds[:, [0, 2]])][:, [0, 2]]],
         "salt_bridges": [pair for pair in salt_bridges(structure) if _across(parts, np.array([pair]))[0]],
-        "clashes": of[clashing[_across(masks, clashing)]],
-        "unsatisfied_polar_atoms": of[_unsatisfied_atoms(structure, together, lost, bonds)],
+        "clashes": residue_of[clashing[_across(masks, clashing)]],
+        "unsatisfied_polar_atoms": residue_of[_unsatisfied_atoms(structure, together, lost, bonds)],
     }
     return _Scored(
         {key: len(rows) for key, rows in residues.items()},
@@ -543,19 +543,19 @@ def _of_errors(
 
 def ipsae(errors: Floats, least: float = 1.0) -> float:
     """IpSAE of one side aligned, the other scored, by errors (n, m), angstrom (Dunbrack, bioRxiv 2025)."""
-    well = errors < _SAE_ERROR
-    n = well.sum(axis=1)
+    is_low = errors < _SAE_ERROR
+    n = is_low.sum(axis=1)
     scale = np.maximum(least, 1.24 * np.cbrt(np.maximum(n, 26) - 15) - 1.8)
-    scores = np.where(well, 1.0 / (1.0 + (errors / scale[:, None]) ** 2), 0.0).sum(axis=1)
+    scores = np.where(is_low, 1.0 / (1.0 + (errors / scale[:, None]) ** 2), 0.0).sum(axis=1)
     return float((scores / np.maximum(n, 1)).max())
 
 
 def _near_betas(structure: Structure, parts: Sides) -> Integers:
     """(n, 2) int: C-betas of either side in contact, C-alphas of glycines."""
-    names, of = structure.atom_name, structure.atom_residue
-    glycine = structure.residue_name[of] == "GLY"
+    names, residue_of = structure.atom_name, structure.atom_residue
+    glycine = structure.residue_name[residue_of] == "GLY"
     beta = ~structure.kept & np.where(glycine, names == "CA", names == "CB")
-    atoms = [np.flatnonzero(beta & part[of]) for part in parts]
+    atoms = [np.flatnonzero(beta & part[residue_of]) for part in parts]
     if not all(map(len, atoms)):
         return np.empty((0, 2), dtype=np.int64)
     first, second = (cKDTree(structure.positions[side]) for side in atoms)

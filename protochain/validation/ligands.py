@@ -97,18 +97,18 @@ class LigandFound(Value):
         }
 
     def __str__(self) -> str:
-        stated = [
+        parts = [
             "strain unknown" if self.strain_kj_mol is None else f"strain {self.strain_kj_mol:.0f} kJ/mol",
             f"{self.contacts} heavy atoms within {CONTACT:g} angstrom of the protein",
             f"{self.clashes} clashes with it",
         ]
         if self.inverted:
-            stated.append(f"inverted: {', '.join(self.inverted)}")
+            parts.append(f"inverted: {', '.join(self.inverted)}")
         if self.failed is not None:
-            stated.append(
+            parts.append(
                 f"PoseBusters fails {', '.join(self.failed)}" if self.failed else "PoseBusters passes"
             )
-        return f"{self.residue}: {', '.join(stated)}"
+        return f"{self.residue}: {', '.join(parts)}"
 
 
 def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple[LigandFound, ...]:
@@ -224,11 +224,11 @@ def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
     chem = library("rdkit.Chem")
     outside = structure.atom_element != "H"
     outside[bound.atoms] = False
-    far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
-    near = outside & ~far
-    used = np.flatnonzero(near if near.any() else outside).tolist()
-    receptor, conformer = chem.RWMol(), chem.Conformer(len(used))
-    for number, k in enumerate(used):
+    is_far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
+    near = outside & ~is_far
+    indices = np.flatnonzero(near if near.any() else outside).tolist()
+    receptor, conformer = chem.RWMol(), chem.Conformer(len(indices))
+    for number, k in enumerate(indices):
         atom = chem.Atom(str(structure.atom_element[k]))
         name = str(structure.residue_name[structure.atom_residue[k]])
         is_hetero = bool(structure.kept[k])

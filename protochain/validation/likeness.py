@@ -119,12 +119,12 @@ def _correspondence(
     absent = structure.built
 
     def find_atoms(names: NDArray[np.str_]) -> Integers:
-        at = np.full(len(atoms), NONE)
+        index = np.full(len(atoms), NONE)
         for name in np.unique(names).tolist():
             mask = names == name
-            at[mask] = amino.atoms(name)[residue[mask], 0]
-        at[(residue == NONE) | absent[at]] = NONE
-        return at
+            index[mask] = amino.atoms(name)[residue[mask], 0]
+        index[(residue == NONE) | absent[index]] = NONE
+        return index
 
     twins_of = {kind: twins | {b: a for a, b in twins.items()} for kind, twins in _TWINS.items()}
     pairs = zip(kinds[atoms].tolist(), name.tolist(), strict=True)
@@ -142,9 +142,9 @@ def _agreement(structure: Structure, place: Floats, pairs: Integers, model: Inte
     """Fraction (n,) of the tolerances within which the distance of each pair agrees."""
     x = ANGSTROM_PER_NM * structure.positions
     i, j = pairs.T
-    off = np.abs(distance(x[model[i]], x[model[j]]) - distance(place[i], place[j]))
-    off[(model[i] == NONE) | (model[j] == NONE)] = np.inf
-    return np.asarray(sum((off <= tolerance) * 0.25 for tolerance in _TOLERANCES), dtype=float)
+    difference = np.abs(distance(x[model[i]], x[model[j]]) - distance(place[i], place[j]))
+    difference[(model[i] == NONE) | (model[j] == NONE)] = np.inf
+    return np.asarray(sum((difference <= tolerance) * 0.25 for tolerance in _TOLERANCES), dtype=float)
 
 
 def _exchange_twins(

@@ -56,18 +56,18 @@ class Nucleotides(Value):
 
 def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
     """Measure sugars, and find base pairs: x (na, 3) nm."""
-    at = _atoms(structure)
+    atoms_of = _atoms(structure)
     ring = {name for torsion in _RING for name in torsion} | {*_DELTA}
-    complete = [r for r, atoms in at.items() if ring <= atoms.keys()]
-    nu = [_torsions(x, at, complete, names) for names in _RING]
-    delta = _torsions(x, at, complete, _DELTA)
+    complete = [r for r, atoms in atoms_of.items() if ring <= atoms.keys()]
+    nu = [_torsions(x, atoms_of, complete, names) for names in _RING]
+    delta = _torsions(x, atoms_of, complete, _DELTA)
     # Equation 3 of Altona and Sundaralingam.
     across = (nu[4] + nu[1] - nu[3] - nu[0]) / (2.0 * np.sin(np.deg2rad([36.0, 72.0])).sum())
     phase, amplitude = np.rad2deg(np.arctan2(across, nu[2])) % 360.0, np.hypot(across, nu[2])
-    far = np.array([_from_glycosidic_bond(x, at, r) for r in complete])
-    contradicts = np.isfinite(far) & ((far < _PERPENDICULAR) == (delta <= _MIDDLE))
+    distance = np.array([_from_glycosidic_bond(x, atoms_of, r) for r in complete])
+    contradicts = np.isfinite(distance) & ((distance < _PERPENDICULAR) == (delta <= _MIDDLE))
     outlier = (delta < _LEAST) | (delta > _MOST) | contradicts
-    pairs = _pairs(structure, x, at)
+    pairs = _pairs(structure, x, atoms_of)
     return Nucleotides(np.array(complete, dtype=np.int64), phase, amplitude, delta, outlier, pairs)
 
 
@@ -90,41 +90,41 @@ def nucleotide_rows(structure: Structure, sugars: Nucleotides) -> list[dict[str,
 
 def _atoms(structure: Structure) -> dict[int, dict[str, int]]:
     """Heavy atoms of each nucleotide, by name."""
-    of = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
+    is_nucleotide = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
     atoms: dict[int, dict[str, int]] = {}
-    for k in np.flatnonzero(of & (structure.atom_element != "H")).tolist():
+    for k in np.flatnonzero(is_nucleotide & (structure.atom_element != "H")).tolist():
         atoms.setdefault(int(structure.atom_residue[k]), {})[str(structure.atom_name[k])] = k
     return atoms
 
 
 def _torsions(
-    x: Floats, at: dict[int, dict[str, int]], residues: list[int], names: tuple[str, ...]
+    x: Floats, atoms_of: dict[int, dict[str, int]], residues: list[int], names: tuple[str, ...]
 ) -> Floats:
     """(n,) float, degrees: a torsion of each residue."""
-    atoms = np.array([[at[r][name] for name in names] for r in residues], dtype=np.int64).reshape(-1, 4)
+    atoms = np.array([[atoms_of[r][name] for name in names] for r in residues], dtype=np.int64).reshape(-1, 4)
     return dihedrals(x, atoms)
 
 
-def _from_glycosidic_bond(x: Floats, at: dict[int, dict[str, int]], residue: int) -> float:
+def _from_glycosidic_bond(x: Floats, atoms_of: dict[int, dict[str, int]], residue: int) -> float:
     """Angstrom from the phosphate after a ribose to the line of its glycosidic bond, NaN of others."""
-    atoms, after = at[residue], at.get(residue + 1, {})
+    atoms, after = atoms_of[residue], atoms_of.get(residue + 1, {})
     base = next((atoms[name] for name in ("N9", "N1") if name in atoms), None)
     if "O2'" not in atoms or base is None or "P" not in after:
         return np.nan
-    out, to = x[base] - x[atoms["C1'"]], x[after["P"]] - x[atoms["C1'"]]
+    bond, arm = x[base] - x[atoms["C1'"]], x[after["P"]] - x[atoms["C1'"]]
     if np.linalg.norm(x[after["P"]] - x[atoms["O3'"]]) > _BONDED:
         return np.nan
-    return ANGSTROM_PER_NM * float(np.linalg.norm(np.cross(out, to)) / np.linalg.norm(out))
+    return ANGSTROM_PER_NM * float(np.linalg.norm(np.cross(bond, arm)) / np.linalg.norm(bond))
 
 
 _BONDED = 0.25
 """nm: O3' and P that are further apart belong to two strands."""
 
 
-def _pairs(structure: Structure, x: Floats, at: dict[int, dict[str, int]]) -> Integers | None:
+def _pairs(structure: Structure, x: Floats, atoms_of: dict[int, dict[str, int]]) -> Integers | None:
     # A molecule of any kind may bear a nucleotide's name: a base is bonded to a sugar by a nitrogen.
-    bases = [atoms_of for atoms_of in at.values() if "C1'" in atoms_of and atoms_of.keys() & {"N1", "N9"}]
-    atoms = [k for atoms_of in bases for k in atoms_of.values()]
+    bases = [base for base in atoms_of.values() if "C1'" in base and base.keys() & {"N1", "N9"}]
+    atoms = [k for base in bases for k in base.values()]
     if not atoms:
         return np.empty((0, 2), dtype=np.int64)
     try:

@@ -28,8 +28,8 @@ def packing(x: Floats, radius: Floats, partner: Floats, partner_radius: Floats) 
     for place, size in ((x, radius), (partner, partner_radius)):
         between = between[_outside(between, place, size, REACH) < REACH]
     x, radius = np.concatenate([x, partner]), np.concatenate([radius, partner_radius])
-    off = _outside(between, x, radius, largest)
-    filled, void = int((off < 0.0).sum()), between[off >= 0.0]
+    distance = _outside(between, x, radius, largest)
+    filled, void = int((distance < 0.0).sum()), between[distance >= 0.0]
     empty = _grid_around(void, PROBE)
     room = np.minimum(_outside(empty, x, radius, 2.0 * PROBE), 2.0 * PROBE - _STEP)
     # Remove the points that a probe reaches: balls without atoms, of at least its radius, contain them.

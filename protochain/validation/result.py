@@ -104,12 +104,12 @@ class Validation(Value):
     def added(self) -> str:
         """Additions of preparation to the file, in words, empty without any."""
         heavy = self.residues["atoms_added"]
-        noted = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
+        additions = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
             atoms = counted(int(heavy.sum()), "heavy atom")
             residues = counted(int((heavy > 0).sum()), "residue")
-            noted.insert(0, f"{atoms} added that the file lacks, in {residues}")
-        return "; ".join(noted)
+            additions.insert(0, f"{atoms} added that the file lacks, in {residues}")
+        return "; ".join(additions)
 
     def record(self) -> dict[str, Any]:
         """Flat row: name, model and size, additions, and the measures."""

@@ -101,19 +101,19 @@ def _find_threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
 @per_structure
 def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     """Rings of at most 20 atoms, in order, within residues or closed by side chains or ends of a chain."""
-    of = structure.atom_residue
+    residue_of = structure.atom_residue
     heavy = (structure.atom_element != "H")[structure.bonds].all(axis=1)
     bonds = structure.bonds[heavy]
-    inside = of[bonds[:, 0]] == of[bonds[:, 1]]
+    inside = residue_of[bonds[:, 0]] == residue_of[bonds[:, 1]]
     cycles: list[tuple[int, ...]] = []
     n = structure.n_residues
-    atoms = np.bincount(of[structure.atom_element != "H"], minlength=n)
-    edges = np.bincount(of[bonds[inside, 0]], minlength=n)
+    atoms = np.bincount(residue_of[structure.atom_element != "H"], minlength=n)
+    edges = np.bincount(residue_of[bonds[inside, 0]], minlength=n)
     # As many bonds as atoms: a ring. Molecules in several pieces would have fewer bonds.
-    start = np.searchsorted(of, np.arange(n))
+    start = np.searchsorted(residue_of, np.arange(n))
     inner = bonds[inside]
     for residue in np.flatnonzero(edges >= atoms).tolist():
-        bonded = inner[of[inner[:, 0]] == residue] - start[residue]
+        bonded = inner[residue_of[inner[:, 0]] == residue] - start[residue]
         local = _cycles(tuple(map(tuple, bonded.tolist())))
         cycles += [tuple(int(start[residue]) + atom for atom in ring) for ring in local]
     cycles += _closed_rings(structure, bonds, bonds[~inside])
@@ -163,10 +163,10 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
 @per_structure
 def _barred_atoms(structure: Structure) -> tuple[frozenset[int], ...]:
     """Atoms of each ring, and of all r of a ring of several: their bonds do not go through it."""
-    of, barred = structure.atom_residue, []
+    residue_of, barred = structure.atom_residue, []
     for ring in rings(structure):
-        r = np.unique(of[list(ring)])
-        barred.append(frozenset(ring if len(r) == 1 else np.flatnonzero(np.isin(of, r)).tolist()))
+        r = np.unique(residue_of[list(ring)])
+        barred.append(frozenset(ring if len(r) == 1 else np.flatnonzero(np.isin(residue_of, r)).tolist()))
     return tuple(barred)
 
 
@@ -181,16 +181,16 @@ def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
     corners = [x[list(ring)] for ring in all_rings]
     centre = np.array([points.mean(axis=0) for points in corners])
     reach = [
-        float(np.sqrt(((points - at) ** 2).sum(axis=1).max())) + 0.5 * _LONG
-        for points, at in zip(corners, centre, strict=True)
+        float(np.sqrt(((points - mean) ** 2).sum(axis=1).max())) + 0.5 * _LONG
+        for points, mean in zip(corners, centre, strict=True)
     ]
-    close: list[list[int]] = [[] for _ in all_rings]
+    nearby: list[list[int]] = [[] for _ in all_rings]
     if len(short):
-        close = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
+        nearby = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
     fixed = np.asarray(structure.obstacle[bonds].all(axis=1))
     ring_index, near_bonds = [], []
     for ring, (atoms, barred) in enumerate(zip(all_rings, _barred_atoms(structure), strict=True)):
-        near = np.concatenate([short[np.sort(np.array(close[ring], dtype=np.int64))], long])
+        near = np.concatenate([short[np.sort(np.array(nearby[ring], dtype=np.int64))], long])
         if structure.obstacle[list(atoms)].all():
             near = near[~fixed[near]]
         ends = [pair for pair in bonds[near].tolist() if not barred.intersection(pair)]
@@ -239,16 +239,16 @@ def _are_crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bo
 
 
 def _describe_threading(structure: Structure, atoms: tuple[int, ...], bond: tuple[int, int]) -> ThreadedRing:
-    of, name = structure.atom_residue, structure.atom_name
-    residues = list(dict.fromkeys(of[list(atoms)].tolist()))
+    residue_of, name = structure.atom_residue, structure.atom_name
+    residues = list(dict.fromkeys(residue_of[list(atoms)].tolist()))
     if len(residues) == 1:
         ring = f"the ring {'-'.join(name[list(atoms)].tolist())} of {structure.describe_residue(residues[0])}"
     else:
         first, last = structure.describe(atoms[0]), structure.describe(atoms[-1])
         ring = f"the ring of {len(atoms)} atoms that the bond between {first} and {last} closes"
     i, j = bond
-    if of[i] == of[j]:
-        through = f"bond {name[i]}-{name[j]} of {structure.describe_residue(int(of[i]))}"
+    if residue_of[i] == residue_of[j]:
+        through = f"bond {name[i]}-{name[j]} of {structure.describe_residue(int(residue_of[i]))}"
     else:
         through = f"the bond between {structure.describe(i)} and {structure.describe(j)}"
-    return ThreadedRing(int(of[list(atoms)].min()), atoms, bond, ring, through)
+    return ThreadedRing(int(residue_of[list(atoms)].min()), atoms, bond, ring, through)

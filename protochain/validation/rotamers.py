@@ -62,8 +62,8 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
         period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
         period[-1] = 180.0 if kind in SYMMETRIC else 360.0
         limit[-1] = _WIDE.get(kind, limit[-1])
-        off = (np.abs((chi[:, None] - usual + period / 2) % period - period / 2) / limit).max(axis=2)
-        name[residues], distance[residues] = names[off.argmin(axis=1)], off.min(axis=1)
+        deviation = (np.abs((chi[:, None] - usual + period / 2) % period - period / 2) / limit).max(axis=2)
+        name[residues], distance[residues] = names[deviation.argmin(axis=1)], deviation.min(axis=1)
     residue = np.flatnonzero(np.isfinite(distance))
     return SideChains(residue, name[residue], distance[residue])
 
@@ -78,11 +78,11 @@ def rotamers_of(residue: str) -> tuple[NDArray[np.str_], Floats]:
 @cache
 def _library() -> dict[str, list[tuple[str, list[float]]]]:
     """Name and dihedrals of every rotamer, by residue."""
-    of: dict[str, list[tuple[str, list[float]]]] = defaultdict(list)
+    rows_of: dict[str, list[tuple[str, list[float]]]] = defaultdict(list)
     with (Path(__file__).parent / "data" / "rotamers.csv").open(newline="", encoding="utf-8") as file:
         for residue, name, _, *chi in list(csv.reader(file))[1:]:
-            of[residue].append((name, [float(angle) for angle in chi if angle]))
-    return of
+            rows_of[residue].append((name, [float(angle) for angle in chi if angle]))
+    return rows_of
 
 
 @per_structure

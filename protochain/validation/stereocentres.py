@@ -27,14 +27,14 @@ class Expected(NamedTuple):
 def expected_stereocentres(structure: Structure) -> Expected:
     """Find the stereocentres expected from names of residues or sources. D under names of L stay."""
     atoms, x = chiral_atoms(structure), structure.positions
-    of, size = structure.atom_residue[atoms[:, 0]], volume(x[atoms])
-    is_d = structure.mirrored[of]
-    phi = peptides(structure, x)[0][of]
+    residue, size = structure.atom_residue[atoms[:, 0]], volume(x[atoms])
+    is_d = structure.mirrored[residue]
+    phi = peptides(structure, x)[0][residue]
     alpha = np.isin(atoms[:, 0], structure.alpha_carbons)
     # NaN, at the start of a chain, may be that of D as well.
     meant = alpha & ~is_d & (size < -WELL_FORMED) & ~(phi < 0.0)
-    unnamed = np.unique(np.concatenate([of[meant], *mirror_images(structure).values()])).astype(np.int64)
-    is_positive = np.where(np.isin(of, unnamed), size >= 0.0, ~is_d)
+    unnamed = np.unique(np.concatenate([residue[meant], *mirror_images(structure).values()])).astype(np.int64)
+    is_positive = np.where(np.isin(residue, unnamed), size >= 0.0, ~is_d)
     swapped = atoms[:, [0, 2, 1, 3]]
     return Expected(read_only(np.where(is_positive[:, None], atoms, swapped), np.int64), unnamed)
 

@@ -104,10 +104,10 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
 
 
 def _outliers(atoms: Integers, values: Floats, norms: Floats) -> tuple[Integers, Floats]:
-    off = (values - norms[:, 0]) / norms[:, 1]
-    far = np.flatnonzero(np.abs(off) > BEYOND)
-    far = far[np.argsort(-np.abs(off[far]), kind="stable")]
-    return read_only(atoms[far], np.int64), read_only(off[far])
+    deviation = (values - norms[:, 0]) / norms[:, 1]
+    outliers = np.flatnonzero(np.abs(deviation) > BEYOND)
+    outliers = outliers[np.argsort(-np.abs(deviation[outliers]), kind="stable")]
+    return read_only(atoms[outliers], np.int64), read_only(deviation[outliers])
 
 
 @dataclass(frozen=True, eq=False)

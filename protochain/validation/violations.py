@@ -235,10 +235,10 @@ def _within(structure: Structure, x: Floats) -> Integers:
 @per_structure
 def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
     """Atoms (n, 2) of one residue, and the least and greatest distances allowed (n,), angstrom."""
-    at, kind = places(structure)
+    atom_at, kind = places(structure)
     lower, upper = _bounds()
-    i, j = np.triu_indices(at.shape[1], 1)
-    first, second = at[:, i], at[:, j]
+    i, j = np.triu_indices(atom_at.shape[1], 1)
+    first, second = atom_at[:, i], atom_at[:, j]
     residue, pair = np.nonzero((first >= 0) & (second >= 0))
     row = kind[residue], i[pair], j[pair]
     pairs = np.sort(np.column_stack([first[residue, pair], second[residue, pair]]), axis=1)
@@ -260,8 +260,8 @@ def _bounds() -> tuple[Floats, Floats]:
 @per_structure
 def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
-    at, kind = places(structure)
-    carbon, nitrogen = at[:, _C], at[:, _N]
+    atom_at, kind = places(structure)
+    carbon, nitrogen = atom_at[:, _C], atom_at[:, _N]
     residue, ends = structure.atom_residue, both_ways(structure.bonds)
     is_c, is_n = np.zeros(structure.n_atoms, dtype=bool), np.zeros(structure.n_atoms, dtype=bool)
     is_c[carbon[carbon >= 0]] = is_n[nitrogen[nitrogen >= 0]] = True
@@ -271,7 +271,7 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     first = np.flatnonzero(follows & (kind[1:] >= 0) & (kind[:-1] >= 0))
     pairs = np.unique(np.vstack([bonded, np.column_stack([first, first + 1])]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    joints = np.column_stack([at[pairs[:, 0]][:, [_CA, _C]], at[pairs[:, 1]][:, [_N, _CA]]])
+    joints = np.column_stack([atom_at[pairs[:, 0]][:, [_CA, _C]], atom_at[pairs[:, 1]][:, [_N, _CA]]])
     complete = (joints >= 0).all(axis=1)
     proline = kind[pairs[:, 1]] == TYPES.index("PRO")
     return read_only(joints[complete], np.int64), read_only(proline[complete], np.bool_)
@@ -288,8 +288,8 @@ def _as_number(text: str) -> float:
 @per_structure
 def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     """Atoms (n,) that may clash, radii (na,), and pairs that are bonded or joined C-N, each as one number."""
-    at, _ = places(structure)
-    atoms = np.sort(at[at >= 0])
+    atom_at, _ = places(structure)
+    atoms = np.sort(atom_at[atom_at >= 0])
     radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
     joined = np.vstack([_joints(structure)[0][:, 1:3], structure.bonds])
     bonded = np.sort(joined, axis=1) @ np.array([structure.n_atoms, 1])
