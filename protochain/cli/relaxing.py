@@ -92,7 +92,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print the violations before and after, the motion, and the written files."""
     from protochain.relaxation.record import ENERGY, before_and_after
     from protochain.structure.molecule.repairs import summarise
-    from protochain.validation.findings import remains_in_words
+    from protochain.validation.findings import describe_remains
 
     rows = before_and_after(record)
     start, end = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
@@ -125,7 +125,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     _print_wrapped(Kind.RESULT, stated)
     _print_wrapped(Kind.MORE, details)
     _print_wrapped(Kind.VERDICT, [record["message"]])
-    _print_wrapped(Kind.RESULT, remains_in_words(record, residues_shown()))
+    _print_wrapped(Kind.RESULT, describe_remains(record, residues_shown()))
     print_violations(record)
     print_lost([record])
     tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")

@@ -391,10 +391,10 @@ def print_timings(record: dict[str, Any]) -> None:
 
 def print_written(record: dict[str, Any]) -> None:
     """Print the remaining violations of a result, its file, and its RMSD to the start."""
-    from protochain.validation.findings import remains_in_words
+    from protochain.validation.findings import describe_remains
 
     print_violations(record)
-    tell(Kind.RESULT, *remains_in_words(record, residues_shown()))
+    tell(Kind.RESULT, *describe_remains(record, residues_shown()))
     superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))
     tell(Kind.RESULT, f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
     tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")

@@ -74,7 +74,7 @@ def place_on_model(
     return Placed(moved, read_only(atoms, np.int64), inverted)
 
 
-def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats) -> Molecule:
+def copy_names(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats) -> Molecule:
     """Give atoms of a molecule the names of a model, elements (nm,), x (nm, 3) nm, which may lack some."""
     elements, heavy = np.asarray(elements), molecule.heavy
     if len(names) >= len(heavy):

@@ -31,7 +31,7 @@ from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
 from protochain.validation import measures
 from protochain.validation.findings import remains
-from protochain.validation.ligands import ligand_motion, motion_in_words, sdf_properties
+from protochain.validation.ligands import describe_motion, ligand_motion, sdf_properties
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -405,7 +405,7 @@ class Solution(RunEnds):
             f"<Solution {self.method}: {self.status}, "
             f"{self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
             f"{self.n_evaluations} evaluations, "
-            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{describe_motion(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -417,7 +417,7 @@ class Solution(RunEnds):
                 "largest torque": f"{self.start.max_torque:.3g} to {self.end.max_torque:.3g} kJ/mol/rad",
                 "RMS force": f"{self.start.rms_force:.3g} to {self.end.rms_force:.3g} kJ/mol/nm",
                 "C-alpha RMSD to the start": (
-                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{describe_motion(self.ligand_motion)}"
                 ),
                 "work": f"{self.n_evaluations} evaluations, {self.seconds:.2f} s",
             },

@@ -17,8 +17,8 @@ from protochain.minimisers.spaces import spaces
 from protochain.structure.molecule.chirality import atom_names, changed_stereocentres, mirror_images
 from protochain.structure.molecule.model import Structure
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
-from protochain.validation.fixed import chains_still, fixed_faults
-from protochain.validation.ligands import double_bonds_named, inverted_double_bonds
+from protochain.validation.fixed import count_fixed, fixed_faults
+from protochain.validation.ligands import describe_double_bonds, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
@@ -139,9 +139,9 @@ def describe_rejections(structure: Structure, x: Floats) -> list[str]:
     ]
     inverted = atom_names(structure, inverted_stereocentres(structure, x))
     problems += [f"inverted stereocentres: {listed(inverted)}"] if inverted else []
-    bonds = double_bonds_named(structure, inverted_double_bonds(structure, x))
+    bonds = describe_double_bonds(structure, inverted_double_bonds(structure, x))
     problems += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
-    n_fixed, n = chains_still(structure)
+    n_fixed, n = count_fixed(structure)
     problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
     # Torsions change no bond length: such a run would end converged.
     wrong_pairs = wrong_bonds(structure, x)

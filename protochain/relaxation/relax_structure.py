@@ -39,7 +39,7 @@ from protochain.structure.molecule.chirality import atom_names, with_mirror_imag
 from protochain.structure.select import move_argument, moving_mask, select, split_sides
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import as_native
-from protochain.validation.omega import bonds_named
+from protochain.validation.omega import describe_bonds
 
 _NAMED = 3
 """Residues and bonds that a message names."""
@@ -255,7 +255,7 @@ def _newly_reversed(problems: Problems) -> Integers:
 
 def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
     s = problems.structure
-    return bonds_named(s, problems.x, s.positions, s.atom_residue[nitrogens])
+    return describe_bonds(s, problems.x, s.positions, s.atom_residue[nitrogens])
 
 
 def describe_problems(problems: Problems) -> list[str]:

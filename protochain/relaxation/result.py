@@ -30,7 +30,7 @@ from protochain.structure.molecule.repairs import Kind, Repair, summarise
 from protochain.structure.select import sides, split_sides
 from protochain.validation import MEASURES
 from protochain.validation.interface import Interface, as_native, score_sides
-from protochain.validation.ligands import LigandFound, findings_of, motion_in_words, sdf_properties
+from protochain.validation.ligands import LigandFound, describe_motion, findings_of, sdf_properties
 
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
 
@@ -243,7 +243,7 @@ class Relaxation(RunEnds):
         return (
             f"<Relaxation of {self.start.name}: {self.status}, residues with violations {before} -> {after}, "
             f"{self.energy_start:.2f} -> {self.energy_end:.2f} kJ/mol, "
-            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{describe_motion(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -260,7 +260,7 @@ class Relaxation(RunEnds):
                 ),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": (
-                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{describe_motion(self.ligand_motion)}"
                 ),
                 **({"side chains": "; ".join(summarise(self.turned))} if self.turned else {}),
                 **rows,

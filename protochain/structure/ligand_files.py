@@ -14,7 +14,7 @@ from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components, neighbours
 from protochain.core.optional_libraries import library
 from protochain.core.storage import write_text
-from protochain.ligands.matching import named_as
+from protochain.ligands.matching import copy_names
 from protochain.ligands.molecule import Molecule, to_rdkit
 from protochain.ligands.sources import as_filed, records, text_of
 from protochain.structure.convert import as_structure
@@ -156,7 +156,7 @@ def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
     if _named(molecule) != _named(filed):
         # The names are those of a model: coordinates show which atom is which.
         try:
-            filed = named_as(filed, molecule.elements[heavy], names, x[heavy])
+            filed = copy_names(filed, molecule.elements[heavy], names, x[heavy])
         except StructureError:
             return list(range(molecule.n_atoms))
     order: list[int] = []

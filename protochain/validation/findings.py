@@ -21,7 +21,7 @@ from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults, fixed_residues
 from protochain.validation.ligands import (
     LigandFound,
-    double_bonds_named,
+    describe_double_bonds,
     inverted_double_bonds,
     ligand_findings,
 )
@@ -284,7 +284,7 @@ REMAINS = {
     ),
     "inverted_double_bonds": Remaining(
         "double bonds of ligands with the other E/Z than their chemistry",
-        lambda f: double_bonds_named(f.structure, f.double_bonds),
+        lambda f: describe_double_bonds(f.structure, f.double_bonds),
     ),
     "clashes_between_chains": Remaining("clashes between chains", _at_interfaces),
     "rotamer_outlier_residues": Remaining("rotamer outliers", lambda f: _residues(f, f.side_chains.outliers)),
@@ -302,7 +302,7 @@ def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
     return Findings(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
 
 
-def remains_in_words(record: Mapping[str, Any], shown: int = 6) -> list[str]:
+def describe_remains(record: Mapping[str, Any], shown: int = 6) -> list[str]:
     """Describe faults in a record beyond its message: a line for each of ``REMAINS`` with places."""
     in_message = () if record.get("status") == "clash" else _JUDGED
     places = {key: record.get(key) for key in REMAINS if key not in in_message}

@@ -62,7 +62,7 @@ def fixed_residues(structure: Structure) -> Integers:
     return np.asarray(residues[structure.residue_name[residues] != "HOH"])
 
 
-def chains_still(structure: Structure) -> tuple[int, int]:
+def count_fixed(structure: Structure) -> tuple[int, int]:
     """Count the amino acids of chains that stand still, and all of them."""
     backbone = np.isin(structure.atom_name, ["N", "CA", "C"]) & np.isin(structure.atom_element, ["N", "C"])
     complete = np.bincount(structure.atom_residue[backbone], minlength=structure.n_residues) == 3

@@ -164,7 +164,7 @@ def _heavy(molecule: Any) -> Any:
     return library("rdkit.Chem").RemoveHs(molecule, sanitize=False)
 
 
-def motion_in_words(motion: Floats) -> str:
+def describe_motion(motion: Floats) -> str:
     """Largest values of ``ligand_motion``, to be put after others, empty without ligands."""
     if not len(motion):
         return ""
@@ -203,7 +203,7 @@ def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
     return np.array(bonds, dtype=np.int64).reshape(-1, 2)
 
 
-def double_bonds_named(structure: Structure, pairs: Integers) -> list[str]:
+def describe_double_bonds(structure: Structure, pairs: Integers) -> list[str]:
     """Name double bonds (n, 2), as ``C1=C2 of A:LIG1``."""
     of = structure.atom_residue
     return [f"{'='.join(structure.atom_name[p])} of {structure.residue(int(of[p[0]]))}" for p in pairs]

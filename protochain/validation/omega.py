@@ -40,16 +40,16 @@ def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list
     now, then = omegas(structure, x), omegas(structure, reference)
     size = np.abs(now.omega)
     crossed = np.where(then.cis, size > PERPENDICULAR, size < PERPENDICULAR)
-    return bonds_named(structure, x, reference, now.residue[crossed & ~then.twisted])
+    return describe_bonds(structure, x, reference, now.residue[crossed & ~then.twisted])
 
 
 def twisted_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
     """Name the peptide bonds that became twisted, as :func:`isomerised_bonds` does."""
     now, then = omegas(structure, x), omegas(structure, reference)
-    return bonds_named(structure, x, reference, now.residue[now.twisted & ~then.twisted])
+    return describe_bonds(structure, x, reference, now.residue[now.twisted & ~then.twisted])
 
 
-def bonds_named(structure: Structure, x: Floats, reference: Floats, residues: Integers) -> list[str]:
+def describe_bonds(structure: Structure, x: Floats, reference: Floats, residues: Integers) -> list[str]:
     """Name the peptide bonds before residues, with their dihedrals then and now."""
     now, then = omegas(structure, x), omegas(structure, reference)
     return [

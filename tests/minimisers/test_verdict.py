@@ -11,7 +11,7 @@ from protochain.chains.chain import pose, pull_back
 from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, describe_rejections, judge, rebuilt, verdict
-from protochain.validation.findings import remains, remains_in_words
+from protochain.validation.findings import describe_remains, remains
 
 OTHERS = {Stop.BUDGET: "budget", Stop.NON_FINITE: "non-finite", Stop.INTERRUPTED: "interrupted"}
 """Statuses of runs that did not stall."""
@@ -84,7 +84,7 @@ def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
     assert judged(changed) == (Status.VIOLATIONS, f"violations: {named}; so far")
     assert describe_rejections(changed, x) == [named] and describe_rejections(s, s.positions) == []
     # What the message names is printed once; that of a clash does not name it.
-    lines = {each: remains_in_words(remains(changed, x) | {"status": each}) for each in Status}
+    lines = {each: describe_remains(remains(changed, x) | {"status": each}) for each in Status}
     assert [each for each, its in lines.items() if named in "".join(its)] == [Status.CLASH]
     # What a run itself inverts is another matter.
     assert judged(s, x)[0] is Status.INVERTED

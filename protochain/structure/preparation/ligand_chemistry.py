@@ -21,7 +21,7 @@ from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, assign_parameters
 from protochain.ligands.dictionary import charges
-from protochain.ligands.matching import Placed, named_as, place_on_model
+from protochain.ligands.matching import Placed, copy_names, place_on_model
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
 from protochain.ligands.sources import of_residue
@@ -151,7 +151,7 @@ class LigandChemistry:
             return found
         x = np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
         try:
-            return named_as(found, [a.element.atomic_number for a in atoms], names, x)
+            return copy_names(found, [a.element.atomic_number for a in atoms], names, x)
         except ProtochainError:
             if is_given:
                 raise
