@@ -1,7 +1,7 @@
-"""Numbers that several threads read and change without locks, in compiled code: places of an array of int64.
+"""Atomic operations of compiled code on elements of an array of int64, for several threads without locks.
 
-Numba has no atomic operations for processors, so they are written in the intermediate language of LLVM, all
-with sequential consistency: what a thread wrote before such an operation, another sees after it.
+Numba has no atomic operations for processors, so they are written in LLVM's intermediate language, all with
+sequential consistency: after such an operation other threads see all earlier writes of a thread.
 """
 
 import platform
@@ -16,7 +16,7 @@ from numba.extending import intrinsic as _intrinsic
 
 from protochain.energies.native.layout import scalar
 
-# Numba says nothing of the types of its own tools.
+# Numba does not declare the types of its tools.
 intrinsic: Any = _intrinsic
 _ORDER = "seq_cst"
 _PAUSES = {
@@ -34,13 +34,13 @@ _IS_WINDOWS = sys.platform == "win32"
 _counter: Any = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
 _clock: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
 TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9
-"""s. Of :func:`ticks`."""
+"""s. Unit of :func:`ticks`."""
 _MONOTONIC = 6 if sys.platform == "darwin" else 1
 
 
 @scalar
 def ticks(buffer: Any) -> int:
-    """Read a clock that goes on evenly, in ticks of its own, by way of an array of two int64."""
+    """Read a monotonic clock in ticks, through a buffer of two int64."""
     if _IS_WINDOWS:
         _counter(buffer.ctypes)
         return buffer[0]
@@ -65,7 +65,7 @@ def load(typing: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def add(typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Add to array[index] and return what it was before."""
+    """Add to array[index] and return its previous value."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.atomic_rmw(
@@ -88,7 +88,7 @@ def replace(typing: Any, array: Any, index: Any, old: Any, new: Any) -> Any:
 
 @intrinsic
 def pause(typing: Any) -> Any:
-    """Tell the processor that this thread waits in a loop."""
+    """Signal to the processor that this thread waits in a loop."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if platform.machine().lower() in _PAUSES:

@@ -1,4 +1,4 @@
-"""Bonds, angles, torsions and torsion maps. Each chunk of the work adds to sums and energies of its own."""
+"""Bonds, angles, torsions and torsion maps. Each chunk of the work adds to separate sums and energies."""
 
 import numpy as np
 
@@ -43,10 +43,10 @@ def angle_sums(
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             area = np.sqrt(nx * nx + ny * ny + nz * nz)
             inner = ux * vx + uy * vy + uz * vz
-            # The arc tangent keeps its digits where the arms are nearly in line; the cosine does not.
+            # The arc tangent, unlike the cosine, is accurate for nearly straight angles.
             bend = np.arctan2(area, inner) - parameters[n, 0]
             energy += 0.5 * parameters[n, 1] * bend * bend
-            # d(theta)/dx_i = u x (u x v) / (u^2 |u x v|), and so for k: both by inner products.
+            # d(theta)/dx_i = u x (u x v) / (u^2 |u x v|), likewise for k, both by inner products.
             pull = -parameters[n, 1] * bend / max(area, CLOSEST)
             a, b = pull * inner / max(u2, CLOSEST), pull * inner / max(v2, CLOSEST)
             push(sums[c], i, j, a * ux - pull * vx, a * uy - pull * vy, a * uz - pull * vz)
@@ -79,7 +79,7 @@ def torsion_sums(
 
 @scalar
 def same_four(atoms: Integers, a: int, b: int) -> bool:
-    """Whether rows a and b hold the same four atoms in the same order."""
+    """Whether rows a and b have the same four atoms in the same order."""
     return bool(
         atoms[a, 0] == atoms[b, 0] and atoms[a, 1] == atoms[b, 1] and atoms[a, 2] == atoms[b, 2]
         and atoms[a, 3] == atoms[b, 3]

@@ -1,7 +1,7 @@
-"""Born radii by pairwise descreening, the energy of pairs with them, and the forces due to their change.
+"""Born radii by pairwise descreening, polar energies of pairs, and forces due to changes of the radii.
 
 Hawkins, Cramer, Truhlar, J. Phys. Chem. 100:19824 (1996), equations 9-11, with the radii of Onufriev,
-Bashford, Case, Proteins 55:383 (2004). Where atom j lies wholly outside atom i, its integral
+Bashford, Case, Proteins 55:383 (2004). If atom j is wholly outside atom i, its integral
 (s/(r^2 - s^2) - atanh(s/r)/r) / 2 is s^3 / (2 r^4) times a series in (s/r)^2, independent of atom i and
 without logarithm or root. The few nearer pairs come from a list.
 """
@@ -75,14 +75,14 @@ def add_integrals(
     a: Floats, i: int, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
     b_sums: Floats,
 ) -> None:  # fmt: skip
-    """One row of a tile: an atom with a block."""
+    """Add the integrals of one row of a tile: an atom with a block."""
     xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
     s2, s3 = a[S2 * W + i], a[S3 * W + i]
     total = 0.0
     for j in range(W):
         dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
         r2 = dx * dx + dy * dy + dz * dz
-        # One division a pair, beside which the divider is idle, costs less than a root by polynomials.
+        # One division per pair costs less than a root by polynomials, because the divider is otherwise idle.
         inverse2 = 1.0 / r2
         if masked:
             inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
@@ -126,7 +126,7 @@ def _polar_tile(
 
 @variant
 def _decays(a: Floats, i: int, b: Floats, rows: Floats) -> None:
-    """Of an atom with a block: f^2; the exponential e in it; and e (1 + r^2 / 4P), its slope by P."""
+    """Write rows of an atom with a block: f^2, its exponential e, and e (1 + r^2 / 4P), the slope by P."""
     xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
     born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
     for j in range(W):
@@ -144,9 +144,8 @@ def add_polar(
     a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Add forces and 2 dE/dB, return minus the energy."""
-    # Two loops, with what goes from the first to the second in ``rows``: the processor keeps shorter chains
-    # of dependences under way side by side.
+    """Add forces and 2 dE/dB, and return minus the energy."""
+    # Two loops, with ``rows`` between them: the processor executes shorter chains of dependences in parallel.
     energy = 0.0
     for i in range(W):
         _decays(a, i, b, rows)
@@ -183,7 +182,7 @@ def add_polar(
 def screened_sums(
     chunks: Share, atoms: Floats, tiles: Integers, rows: np.ndarray, sums: Floats, energies: Floats
 ) -> None:  # fmt: skip
-    """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of far tiles."""
+    """Add the difference of 1/f and 1/r to energy, forces and 2 dE/dB, for selected rows of far tiles."""
     for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, buffer = 0.0, np.empty(3 * W)
@@ -197,7 +196,7 @@ def screened_sums(
 def _screened_tile(
     a: Floats, b: Floats, counts: np.ndarray, rows: Floats, a_sums: Floats, b_sums: Floats
 ) -> float:
-    """As :func:`add_polar`, less the energy and force of 1/r."""
+    """As :func:`add_polar`, minus the energy and force of 1/r."""
     energy = 0.0
     for i in range(W):
         if not counts[i]:
@@ -234,7 +233,7 @@ def near_integral_sums(
     near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
-    # Those found near are computed many at a time, as vectors.
+    # Near pairs are computed in batches, as vectors.
     for c in range(*chunks):
         begin, end = part(len(pairs), c)
         batch, pair_index, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
@@ -259,7 +258,7 @@ def near_integral_sums(
 
 @tile_kernel
 def _descreenings(batch: Floats, engulfs: bool) -> None:
-    """From rows r^2, offset and scaled radii of atoms i and j: rows of integrals and slopes of i and j."""
+    """Compute rows of integrals and slopes of atoms i and j from rows of r^2, offset and scaled radii."""
     for k in range(BATCH):
         r = np.sqrt(batch[k])
         of_i, slope_i = descreening(r, batch[BATCH + k], batch[4 * BATCH + k], engulfs)
@@ -271,14 +270,14 @@ def _descreenings(batch: Floats, engulfs: bool) -> None:
 @variant
 def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
     """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r."""
-    # ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does. Without
-    # branches, to vectorise.
+    # ``engulfs`` adds 1/radius - 1/L if the sphere contains the whole atom, as in GBSAOBCForce. The code has
+    # no branches, to vectorise.
     reach, furthest = abs(r - s), r + s
     outside = reach > radius
     nearest = reach if outside else radius
     product = 1.0 / (nearest * furthest * r)
     lower, upper, inverse = furthest * r * product, nearest * r * product, nearest * furthest * product
-    # L moves with r where the sphere's nearest point lies outside the atom.
+    # L changes with r if the nearest point of the sphere is outside the atom.
     moves = (-lower if r > s else lower) if outside else 0.0
     squares, log = upper * upper - lower * lower, logarithm(nearest * upper)
     ratio = s * s * inverse
@@ -301,7 +300,7 @@ def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float
 def near_descreening_sums(
     chunks: Share, x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats
 ) -> None:
-    """Add the forces of the listed pairs from the slopes that :func:`near_integral_sums` stored."""
+    """Add the forces of the listed pairs from the slopes of :func:`near_integral_sums`."""
     for c in range(*chunks):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
@@ -316,9 +315,9 @@ def put_born_radii(
     begin: int, end: int, integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats,
     atoms: Floats, slope: Floats,
 ) -> None:  # fmt: skip
-    """Write some atoms' Born radii into the blocks, and dB/d(integral) of each into ``slope``."""
-    # ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
-    # offset radius; all zero for HCT, 1/B = 1/radius - integral.
+    """Write Born radii of a range of atoms into the blocks, and dB/d(integral) into ``slope``."""
+    # ``bend`` has alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
+    # offset radius. All are zero for HCT, 1/B = 1/radius - integral.
     for i in range(begin, end):
         alpha, beta, gamma = bend[i, 0], bend[i, 1], bend[i, 2]
         psi = integral[i] * offset_radius[i]
@@ -338,7 +337,7 @@ def put_born_radii(
 def add_self_energy(
     begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; 2 dE/dB becomes dE/d(integral)."""
+    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms. 2 dE/dB becomes dE/d(integral)."""
     # Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     polar, area = 0.0, 0.0
     for i in range(begin, end):

@@ -26,24 +26,24 @@ _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
 """Threads of numba: number of processors, or NUMBA_NUM_THREADS."""
 _COARSE, _WATER = 0.9, 78.5
-"""nm; dielectric constant."""
+"""Cutoff in nm, and dielectric constant."""
 
 
 class NativeEnergy:
     """Energy of an OpenMM System by compiled kernels, in double precision.
 
     A run repeats bit for bit on any number of threads. Energies at the same positions may differ in the last
-    digits between runs that reach them by different paths: neighbour lists, and with them the order of sums,
-    depend on the path.
+    digits between runs with different paths, because neighbour lists, and so the order of sums, depend on the
+    path.
 
     Parameters
     ----------
     by_openmm : OpenMMEnergy
-        The same energy by OpenMM, whose System is compiled.
+        The same energy by OpenMM, with the System to compile.
     threads : int
         Number of threads.
     opening : Opening, optional
-        How a tree sums what is far; all pairs are summed without.
+        Parameters of a tree for far pairs. By default all pairs are summed one by one.
 
     Raises
     ------
@@ -66,29 +66,29 @@ class NativeEnergy:
     ) -> None:
         self.by_openmm, self.opening = by_openmm, opening
         self.errors: tuple[float, ...] = ()
-        """RMS errors of the forces in kJ/mol/nm: the first and the last that were measured."""
+        """RMS errors of the forces in kJ/mol/nm: the first and last measured values."""
         self.system, self.atoms = by_openmm.system, by_openmm.atoms
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.settings = by_openmm.settings
         self.threads = min(threads, MOST_THREADS)
         self.chosen_by: tuple[Floats, tuple[float, Floats]] | None = None
-        """Positions at which a tree was measured, and energy and forces there of all pairs one by one."""
+        """Positions at which a tree was measured, with energy and forces of all pairs one by one."""
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
         self._evaluation: Evaluation | None = None
         self._one_at_a_time = Lock()
         self._full: tuple[Layout, Lists, Lists, Floats] | None = None
-        """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
+        """If terms are omitted: layout of all terms, its lists, the reduced lists, and their positions."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Made anew, without the neighbour lists of earlier evaluations."""
+        """Rebuild the energy, without the neighbour lists of earlier evaluations."""
         rigid = None if self._full is None else (self._layout.groups, self._full[3])
         return _rebuild, (self.by_openmm, self.threads, self.opening, rigid)
 
     @property
     def reason(self) -> str:
-        """Kernels, precision, threads, the accuracy of far pairs, and the constant terms left out."""
+        """Kernels, precision, threads, the accuracy of far pairs, and the omitted constant terms."""
         text = f"native kernels, double precision, {self.threads} threads"
         if self.opening is not None:
             text += "; far pairs by a tree"
@@ -102,12 +102,12 @@ class NativeEnergy:
 
     @property
     def terms(self) -> Terms:
-        """All terms of the System as arrays, those left out too."""
+        """All terms of the System as arrays, including omitted terms."""
         return (self._layout if self._full is None else self._full[0]).terms
 
     @property
     def operation_counts(self) -> Mapping[str, int]:
-        """What an evaluation sums: terms, pairs of atoms, and entries of lists, with the lists in use."""
+        """Numbers of terms, pairs of atoms and list entries in an evaluation with the current lists."""
         terms = self._layout.terms
         n_terms = sum(len(subset.atoms) for subset in (*terms.bonded.values(), terms.nonbonded.exceptions))
         if self._lists is None:
@@ -123,11 +123,11 @@ class NativeEnergy:
 
     @cached_property
     def exact(self) -> "NativeEnergy":
-        """The same energy with all pairs summed one by one; itself if it does so."""
+        """The same energy with all pairs summed one by one, which may be itself."""
         return self if self.opening is None else self.by_tree(None)
 
     def by_tree(self, opening: Opening | None) -> "NativeEnergy":
-        """Return a copy whose far pairs are summed by a tree; None: one by one."""
+        """Return a copy whose far pairs are summed by a tree, or one by one for None."""
         return self._copy(self._layout, opening)
 
     def _copy(self, layout: Layout, opening: Opening | None = None) -> "NativeEnergy":
@@ -137,7 +137,7 @@ class NativeEnergy:
         return copy
 
     def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
-        """Choose the quickest tree with forces at x (na, 3) right to an RMS, measured by all pairs."""
+        """Choose the fastest tree within an RMS error of forces at x (na, 3), measured against all pairs."""
         terms, cause = self._layout.terms, "no tree is as accurate as asked"
         if terms.nonbonded.cutoff < np.inf or (terms.solvent and terms.solvent.cutoff < np.inf):
             cause = "the System has a cutoff"
@@ -158,7 +158,7 @@ class NativeEnergy:
         return self
 
     def note_error(self, forces: Floats, exact: Floats) -> float:
-        """RMS difference of its forces (na, 3) from exact ones; if a tree sums them ``reason`` tells it."""
+        """Return the RMS error of its forces (na, 3). With a tree ``reason`` reports it."""
         error = float(np.sqrt(((forces - exact) ** 2).sum(axis=1).mean()))
         if self.opening is not None:
             self.errors = (*self.errors[:1], error)
@@ -172,15 +172,15 @@ class NativeEnergy:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
         # Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
-        # forces; the calling loop handles that.
+        # forces, which the calling loop handles.
         parts, forces = self.parts(x)
         return sum(parts.values()) + self._constants[0], forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Evaluate energies by kind, without the constant of terms left out, as :meth:`Energy.parts`.
+        """Evaluate energies by kind, without the constant of omitted terms, as :meth:`Energy.parts`.
 
         Kinds are ``bonds``, ``angles``, ``torsions``, ``impropers``, ``maps`` (CMAP), ``nonbonded`` (Coulomb,
-        Lennard-Jones), ``polar`` (generalised Born) and ``surface``; those that the System has not are 0.
+        Lennard-Jones), ``polar`` (generalised Born) and ``surface``. Kinds that the System lacks are 0.
         """
         x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
@@ -189,7 +189,7 @@ class NativeEnergy:
             return self._evaluation_at(x)(x)
 
     def born_radii(self, x: Floats) -> Floats:
-        """(na,) float, nm: Born radii at x (na, 3) in nm; empty without a solvent model."""
+        """(na,) float, nm: Born radii at x (na, 3) in nm, empty without a solvent model."""
         n = self._layout.terms.n_atoms
         x = floats(x, (n, 3), "x", "nanometer")
         if self._layout.terms.solvent is None:
@@ -199,7 +199,7 @@ class NativeEnergy:
 
     def _with_born(self, x: Floats) -> Floats:
         """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model."""
-        # The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
+        # The neighbour lists remain unchanged, so a call between two runs changes no bit of the second.
         if self.opening is not None:
             return self.exact._with_born(x)
         if self._layout.terms.solvent is None:
@@ -218,11 +218,11 @@ class NativeEnergy:
         return evaluation.workspace.atoms
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
-        """Leave out terms that are constant while groups of atoms (na, k) stay rigid as at x (na, 3), nm.
+        """Omit terms that are constant while groups of atoms (na, k) stay rigid as at x (na, 3), nm.
 
         The group is -1 for none. An atom on a hinge's axis belongs to both its bodies. The energy is the same
-        function of positions that keep the groups rigid, with the same force and torque on each group. With a
-        tree it is itself, which sums all, or pairs that change, if they are fewer than its near.
+        function of positions with rigid groups, with the same force and torque on each group. With a tree the
+        result is the tree's energy, or changing pairs one by one if they are fewer than its near pairs.
         """
         if self.opening is not None:
             copy = self.exact.without_constants(groups, x)
@@ -241,9 +241,9 @@ class NativeEnergy:
             left_out[kind] = int(len(moving) - moving.sum())
         nonbonded = replace(terms.nonbonded, exceptions=moving_terms.pop("exceptions"))
         fewer = replace(terms, bonded=moving_terms, nonbonded=nonbonded)
-        # Exceptions left out must still be kept off the list of free pairs.
+        # Omitted exceptions must still be excluded from the list of free pairs.
         copy = self._copy(replace(self._layout, terms=fewer, groups=groups))
-        # Lists at these positions, whatever was computed before, so that runs repeat.
+        # Lists at these positions, independent of earlier evaluations, so that runs repeat.
         all_lists, fewer_lists = lists_of(self._layout, x), lists_of(copy._layout, x)
         copy._lists, copy._full = fewer_lists, (self._layout, all_lists, fewer_lists, x)
         left_out["close pairs"] = len(all_lists.close) - len(fewer_lists.close)
@@ -252,7 +252,7 @@ class NativeEnergy:
 
     @cached_property
     def coarse(self) -> "NativeEnergy":
-        """A rough copy to begin with, several times as fast: pairs up to ``_COARSE`` nm, a reaction field."""
+        """A coarse copy, several times as fast: pairs up to ``_COARSE`` nm with a reaction field."""
         terms = self._layout.terms
         krf = (_WATER - 1.0) / (2.0 * _WATER + 1.0) / _COARSE**3
         crf = 3.0 * _WATER / (2.0 * _WATER + 1.0) / _COARSE
@@ -262,7 +262,7 @@ class NativeEnergy:
 
     @cached_property
     def bonded_terms(self) -> "NativeEnergy":
-        """A copy of the bonded terms alone, without any pairs, exceptions included."""
+        """A copy with only the bonded terms, without pairs or exceptions."""
         terms = self.terms
         near = Layout(replace(terms, solvent=None), self._layout.groups, self._layout.exceptions).near
         pairs = terms.nonbonded
@@ -274,7 +274,7 @@ class NativeEnergy:
         return self._copy(replace(self._layout, terms=fewer))
 
     def cutoff_error(self, x: Floats) -> str:
-        """Say by how much the cutoff changes the forces at x (na, 3) in nm, by one sum over all pairs."""
+        """Report the error of the forces from the cutoff at x (na, 3) in nm, by one sum over all pairs."""
         terms = self._layout.terms
         nonbonded = replace(terms.nonbonded, cutoff=np.inf, krf=0.0, crf=0.0)
         solvent = replace(terms.solvent, cutoff=np.inf) if terms.solvent else None
@@ -285,7 +285,7 @@ class NativeEnergy:
 
     @cached_property
     def _constants(self) -> tuple[float, Floats]:
-        """Energy of the terms left out; what atoms of one group contribute to each other's Born integrals."""
+        """Energy of the omitted terms, and constant Born integrals between atoms of one group."""
         fixed = np.zeros(self._layout.terms.n_atoms)
         if self._full is None:
             return 0.0, fixed

@@ -24,7 +24,7 @@ from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
 from protochain.energies.native.terms import Bonded, Terms
 
 CLOSE = 0.35
-"""nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
+"""nm. Closer pairs come from a list, which includes all excluded and clashing pairs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +33,12 @@ class Layout:
 
     terms: Terms
     groups: Integers  # (na, k) int: Rigid groups of each atom, -1 for none.
-    # (na + 1,) int: Start of each atom's exception partners, and the partners, constant exceptions included.
+    # (na + 1,) int: Start of each atom's exception partners, and the partners, including constant exceptions.
     exceptions: tuple[Integers, Integers]
 
     @cached_property
     def near(self) -> float:
-        """Distance in nm from which on tiles compute the pairs."""
+        """Smallest distance in nm of pairs in tiles."""
         if self.terms.solvent is None:
             return CLOSE
         s, radius = np.abs(self.terms.solvent.scaled_radius), self.terms.solvent.offset_radius
@@ -46,7 +46,7 @@ class Layout:
 
     @cached_property
     def block_near(self) -> Floats:
-        """(blocks,) float: distance in nm beyond which a block needs neither near series nor masks."""
+        """(blocks,) float: distance in nm beyond which a block requires neither near series nor masks."""
         if self.terms.solvent is None:
             return np.full(n_blocks(self.terms.n_atoms), self.near)
         far = in_blocks(np.abs(self.terms.solvent.scaled_radius)).max(axis=1) / FAR_RATIO
@@ -89,19 +89,19 @@ class Layout:
 
     @cached_property
     def written_blocks(self) -> np.ndarray:
-        """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to for bonded terms and exceptions."""
+        """(CHUNKS, blocks) bool: blocks to whose sums a chunk adds bonded terms and exceptions."""
         is_written = np.zeros((CHUNKS, n_blocks(self.terms.n_atoms)), dtype=bool)
         for kind in (*self.terms.bonded.values(), self.terms.nonbonded.exceptions):
             mark_written(is_written, kind.atoms // W)
         return is_written
 
     def pairs_of(self, lists: Lists) -> int:
-        """Count the pairs of atoms that an evaluation visits: tiles in each pass over them, and lists."""
+        """Count the pairs of atoms that an evaluation visits, in each pass over tiles and in lists."""
         solvent = self.terms.solvent
         passes = len(lists.changing) * (1 if solvent is None else 2)
         listed = len(lists.free)
         if solvent is not None:
-            # Polar energies of all tiles, whose Born radii change; near pairs of integrals, there and back.
+            # Polar energies of all tiles, because Born radii change. Near pairs of integrals, in two passes.
             passes, listed = passes + len(lists.tiles), listed + 2 * len(lists.close)
             passes += 2 * int(lists.is_necked.sum()) if solvent.necks else 0
         return W * W * passes + listed
@@ -122,7 +122,7 @@ class Layout:
 
 
 def written_blocks(layout: Layout, lists: Lists) -> np.ndarray:
-    """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to, in any step."""
+    """(CHUNKS, blocks) bool: blocks to whose sums a chunk adds, in any step."""
     is_written = layout.written_blocks.copy()
     mark_written(is_written, lists.changing)
     mark_written(is_written, lists.free // W)
@@ -135,7 +135,7 @@ def written_blocks(layout: Layout, lists: Lists) -> np.ndarray:
 
 @scalar
 def mark_written(is_written: np.ndarray, blocks: Integers) -> None:
-    """Mark the blocks (n, k) of items that chunks share as :func:`layout.part` does."""
+    """Mark the blocks (n, k) of items, divided among chunks as by :func:`layout.part`."""
     n = len(blocks)
     for chunk in range(CHUNKS):
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
@@ -152,7 +152,7 @@ def in_types(table: Floats, kind: Integers) -> Floats:
 
 
 def lists_of(layout: Layout, x: Floats, tiles: Integers | None = None) -> Lists:
-    """Build the neighbour lists at x; of pairs of blocks ``tiles``, if given."""
+    """Build the neighbour lists at x, optionally from pairs of blocks ``tiles``."""
     return make_lists(
         x, layout.near, layout.block_near, layout.neck_reach, layout.terms.nonbonded.cutoff,
         layout.exceptions, layout.groups, layout.block_group, tiles,

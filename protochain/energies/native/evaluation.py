@@ -1,4 +1,4 @@
-"""An energy with its neighbour lists, ready for any positions at which they hold."""
+"""An energy with its neighbour lists, for any positions at which they are valid."""
 
 import threading
 from time import monotonic, perf_counter, thread_time
@@ -30,7 +30,7 @@ KINDS = (
 )
 """Components of the energy, in the order of the rows of ``tasks``."""
 _FEW_BLOCKS = 32
-"""Blocks up to which a task of one of 16 chunks would be too small for two threads."""
+"""Largest number of blocks for which a task of one of 16 chunks is too small for two threads."""
 _BONDED = ("bonds", "angles", "torsions", "impropers", "ties", "tie angles")
 
 
@@ -47,15 +47,15 @@ class Workspace:
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
         self.of: Evaluation | None = None
-        """Evaluation whose sums it holds; None while one computes them."""
+        """Evaluation whose sums are stored, None during a computation."""
 
 
 class Evaluation:
     """An energy with its lists.
 
     fixed (na,): Constant parts of the Born integrals.
-    workspace: Of the same layout; one evaluation at a time may use it.
-    far: What is summed by a tree, in whose order atoms are in layout, lists and workspace.
+    workspace: Workspace of the same layout. Only one evaluation at a time may use it.
+    far: Interactions by a tree. Its order of atoms applies to layout, lists and workspace.
     """
 
     def __init__(
@@ -94,8 +94,8 @@ class Evaluation:
                     self._call_helpers(helpers())
                 tasks.work(True, self._counters, *self._arguments)
         finally:
-            self._is_running = False  # Also on Ctrl-C: helpers would look for tasks for ever.
-        # Also until this thread goes on: on a busy machine the interpreter may be another's for long.
+            self._is_running = False  # Also on Ctrl-C, because helpers would otherwise wait forever.
+        # Includes the wait for the interpreter, which may be long on a busy machine.
         elapsed = perf_counter() - start
         if uses_helpers:
             n_tasks, led, waited = self._counters[[tasks.ALL, tasks.LED, tasks.WAITED]].tolist()
@@ -113,12 +113,12 @@ class Evaluation:
         return self.workspace.atoms.reshape(-1, ROWS, W)[:, BORN].ravel()
 
     def put_born_radii(self, x: Floats) -> None:
-        """Compute Born radii at x alone; it can do nothing else afterwards."""
+        """Compute only Born radii at x. Later evaluations with this object also stop there."""
         self._counters[tasks.STEPS] = tasks.TO_RADII
         self(x)
 
     def was_at(self, x: Floats) -> bool:
-        """Whether the workspace holds what this evaluation computed at x (na, 3)."""
+        """Whether the workspace has the results of this evaluation at x (na, 3)."""
         at = self.workspace.x
         return self.workspace.of is self and np.array_equal(at, x if self.order is None else x[self.order])
 
@@ -132,7 +132,7 @@ class Evaluation:
             helper_pool.ask(self.help_out, missing, self._max_helpers)
 
     def help_out(self) -> None:
-        """Do tasks, as a helper, until none has come for a while."""
+        """Do tasks as a helper until none has come for a while."""
         while True:
             tasks.work(False, self._counters, *self._arguments)
             with self._state:
@@ -141,12 +141,12 @@ class Evaluation:
                     return
 
     def dismiss(self) -> None:
-        """Let the helpers go: there are other lists now."""
+        """Release the helpers, because the lists have changed."""
         self._counters[tasks.QUIT] = 1
 
 
 def tasks_of_a_step(threads: int, n_blocks: int) -> int:
-    """Few for little work, which they would weigh on, many for much, so that threads end together."""
+    """Tasks per step: few for small systems, to reduce overhead, many for large ones, to balance threads."""
     if threads == 1:
         return 1
     return CHUNKS if threads > 2 or n_blocks > _FEW_BLOCKS else CHUNKS // 2
@@ -155,7 +155,7 @@ def tasks_of_a_step(threads: int, n_blocks: int) -> int:
 def arguments(
     layout: Layout, lists: Lists, fixed: Floats, w: Workspace, far: Far | None = None
 ) -> tuple[Any, ...]:
-    """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
+    """Return the arguments of :func:`tasks.work` after its counters, by subject, None for absent parts."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
     writes = written_blocks(layout, lists)
     of_tree = None
@@ -187,7 +187,7 @@ def arguments(
 
 
 def _views(*arrays: Any) -> tuple[Any, ...]:
-    """Read-only contiguous views: numba compiles for each kind of array anew, and may round otherwise."""
+    """Read-only contiguous views. Numba compiles for each kind of array, and may round differently."""
     views = tuple(np.ascontiguousarray(array).view() for array in arrays)
     for view in views:
         view.flags.writeable = False

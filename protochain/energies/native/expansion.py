@@ -1,12 +1,12 @@
 """Far fields of groups of atoms by Cartesian Taylor expansions, of any kernel r^-s, truncated by total order.
 
-Of two groups about fixed centres R apart, with moments M_b = sum w e^b / b! and kernel k,
+For two groups with fixed centres R apart, moments M_b = sum w e^b / b! and kernel k,
 
     sum_ij v_i w_j k(r_ij) ~ sum over |a| + |b| <= p of M'_a (-1)^|b| D_(a+b)(R) M_b,
 
-D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002); Duan, Krasny, J. Comput. Chem. 22:184
-(2001). This is symmetric in the two, and a polynomial in their atoms' positions: forces are its gradient,
-exactly. Interactions are computed LANES at a time, each quantity in one row of so many numbers.
+D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002), and Duan, Krasny, J. Comput. Chem. 22:184
+(2001). The sum is symmetric in the two groups and a polynomial in the positions, so forces are its exact
+gradient. Interactions are computed LANES at a time, each quantity in one row of LANES numbers.
 """
 
 from functools import cache
@@ -21,18 +21,18 @@ from protochain.energies.native.tree import FIRST, LEFT, PARENT
 
 LARGEST_ORDER = 10
 POWER, ORDER, KIND, FIELD = range(4)
-"""Columns of an interaction: s of its kernel r^-s, with a multiple of r^-(s + 2) beside it; order p; kind
-of charge whose moments it takes; field that it adds to."""
+"""Columns of an interaction: s of its kernel r^-s, plus a multiple of r^-(s + 2), order p, kind of charge of
+the moments, and field to which it adds."""
 
 
 @cache
 def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     """Tables of an order."""
-    # (n, 8) int: Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row
-    #     of the monomial divided by that axis once, and twice (-1 for none); exponent along it.
+    # (n, 8) int: For each monomial, by degree: exponents of x, y, z, degree, an axis, row of the monomial
+    #     divided by that axis once, and twice (-1 for none), exponent along it.
     # (m, 3) int: Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
     # (l, 3) int: Row of each monomial of a lower order, times x, times y, times z.
-    # (n * n,) int: Row of a + b, at n a + b; of those of a higher order 0.
+    # (n * n,) int: Row of a + b, at n a + b, 0 for higher orders.
     powers = [
         (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
     ]
@@ -61,7 +61,7 @@ def n_terms(order: int) -> int:
 
 @scalar
 def n_products(order: int) -> int:
-    """Return the number of products of two of them up to an order, one for each monomial of six variables."""
+    """Return the number of products of two monomials up to an order: the monomials of six variables."""
     total = 1
     for k in range(1, 7):
         total = total * (order + k) // k
@@ -103,14 +103,14 @@ def dot(a: Floats, b: Floats) -> float:
 
 @chunk_kernel
 def shift_moments(moments: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
-    """Add moments about another centre, by n products; ``monomials`` of the old centre about the new."""
+    """Add moments about a new centre, by n products. ``monomials`` are of the old centre about the new."""
     for t in range(n):
         out[products[t, 2]] += moments[products[t, 0]] * monomials[products[t, 1]]
 
 
 @chunk_kernel
 def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
-    """Add a field about another centre, by n products; ``monomials`` of the new centre about the old."""
+    """Add a field about a new centre, by n products. ``monomials`` are of the new centre about the old."""
     for t in range(n):
         out[products[t, 0]] += field[products[t, 2]] * monomials[products[t, 1]]
 
@@ -118,13 +118,13 @@ def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, ou
 @tile_kernel
 def _derivatives(at: Floats, powers: Floats, order: int, monomials: Integers, out: Floats) -> None:
     """Derivatives of a kernel by order, from x, y, z, and rows ((1/r) d/dr)^m k of ``powers``."""
-    # McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
+    # McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel, in place, from the
     # highest degree down.
     for k in range(LANES):
         out[0, k] = powers[order, k]
     for m in range(order - 1, -1, -1):
         for row in range(n_terms(order - m) - 1, 0, -1):
-            # Of an exponent of 1 the second product is with 0.
+            # For an exponent of 1 the factor of the second product is 0.
             once, twice = monomials[row, 5], max(0, monomials[row, 6])
             put_product(out, row, once, at, monomials[row, 4], monomials[row, 7] - 1.0, twice)
         for k in range(LANES):
@@ -156,7 +156,7 @@ def put_moments(
     chunks: Share, atoms: Floats, charges: Floats, kinds: Integers, nodes: Integers, roots: Integers,
     centre: Floats, tabled: Any, moments: Floats,
 ) -> None:  # fmt: skip
-    """Put the moments of the nodes of some chunks, inward: of some kinds, rows of kind and order."""
+    """Put the moments of the nodes of some chunks, inward. ``kinds`` has rows of kind and order."""
     monomials, products, _, _ = tabled
     rows, shifts = np.empty((len(monomials), W)), np.empty(len(monomials))
     for c in range(*chunks):
@@ -185,9 +185,9 @@ def put_fields(
     chunks: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats,
     start: Integers, source: Integers, tabled: Any, moments: Floats, fields: Floats,
 ) -> None:  # fmt: skip
-    """Put the fields of all that is far about the nodes of some chunks, outward."""
-    # ``uses`` are the columns (n, 4) of interactions, those of one kernel side by side, of falling order, and
-    # of one field that of the highest order first; ``seconds`` (n,) the factors of r^-(s + 2).
+    """Put the far fields of the nodes of some chunks, outward."""
+    # ``uses`` (n, 4) are the interactions, grouped by kernel, with falling order. The first interaction of a
+    # field has its highest order. ``seconds`` (n,) are the factors of r^-(s + 2).
     monomials, products, _, added = tabled
     n = len(monomials)
     derivatives, gathered, sums = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((len(uses) * n, LANES))
@@ -235,7 +235,7 @@ def _far_fields(
         for lane in range(LANES):
             far_node, r2 = source[first + lane if lane < count else first], 0.0
             for axis in range(3):
-                # From here to there: (-1)^|b| D_(a+b)(R) is (-1)^|a| D_(a+b)(-R), whose sign belongs to sums.
+                # From node to far node: (-1)^|b| D_(a+b)(R) is (-1)^|a| D_(a+b)(-R). The sums have the sign.
                 at[axis, lane] = centre[far_node, axis] - centre[node, axis]
                 r2 += at[axis, lane] * at[axis, lane]
             at[4, lane] = 1.0 / r2
@@ -245,7 +245,7 @@ def _far_fields(
             if use == 0 or power != uses[use - 1, POWER]:
                 _kernel_rows(at, power, seconds[use], order, powers)
                 _derivatives(at, powers, order, monomials, derivatives)
-            # Node by node: the cache has them in a row.
+            # Node by node, because its moments are contiguous in the cache.
             for lane in range(LANES):
                 node_moments = moments[source[first + lane if lane < count else first], kind]
                 factor = 1.0 if lane < count else 0.0
@@ -287,8 +287,8 @@ def put_far_forces(
     leaves: Integers, centre: Floats, tabled: Any, fields: Floats, forces: Floats, parts: Floats,
 ) -> None:  # fmt: skip
     """Put the forces (blocks, 3, W) of the fields on the atoms of some chunks, and add energies."""
-    # ``acts`` (fields,) is the kind of charge that each acts on, ``orders`` its order; ``factors`` (fields, 1
-    # + components) those of its force, and of its energy in each row of ``parts``.
+    # ``acts`` (fields,) is the kind of charge on which a field acts, ``orders`` its order. ``factors``
+    # (fields, 1 + components) are factors of its force, and of its energy in each row of ``parts``.
     monomials, _, raised, _ = tabled
     rows, gradient = np.empty((len(monomials), W)), np.empty((4, W))
     for c in range(*chunks):

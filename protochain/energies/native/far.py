@@ -1,9 +1,8 @@
-"""What acts far away: charges of the atoms by kind, the fields of their nodes, and what these act on.
+"""Far interactions: charges of the atoms by kind, the fields of their nodes, and their targets.
 
-Where exp(-r^2 / 4 B B) is negligible, Coulomb and generalised Born are one interaction, q q / (78.5 r):
-summed together, their far field is a 78th of Coulomb's alone. Where it is not, tiles add how 1/f differs from
-1/r. Born integrals of far atoms are s^3 (c_0 / r^4 + c_1 s^2 / r^6), Lennard-Jones -B / r^6 with B as a sum
-of few products of two factors.
+If exp(-r^2 / 4 B B) is negligible, Coulomb and generalised Born are one interaction, q q / (78.5 r). Its far
+field is a 78th of Coulomb's. Otherwise tiles add the difference of 1/f and 1/r. Born integrals of far atoms
+are s^3 (c_0 / r^4 + c_1 s^2 / r^6). Lennard-Jones is -B / r^6, with B as a sum of few products of factors.
 """
 
 from dataclasses import dataclass
@@ -20,13 +19,13 @@ from protochain.energies.native.terms import Terms
 from protochain.energies.native.tree import FIRST, LEFT, Tree
 
 _SMALLEST = 0.15
-"""s / r up to which two terms are the descreening integral, to 1.7e-4 of it."""
+"""Largest s / r at which two terms approximate the descreening integral to 1.7e-4 of its value."""
 _LEAST = 1.0
-"""nm. Far atoms are no nearer: r^-12 is negligible, and no pair is bonded."""
+"""nm. Smallest distance of far atoms: r^-12 is negligible, and no pair is bonded."""
 _REST = 2
-"""Order of what scaled radii other than the mean change in integrals."""
+"""Order of the correction for scaled radii that differ from the mean, in integrals."""
 _FACTORED = 3e-4
-"""Share of the largest B that the products of factors may miss."""
+"""Largest error of the products of factors, as a share of the largest B."""
 
 
 def _two_terms() -> tuple[float, float]:
@@ -41,18 +40,18 @@ FAR_TERMS = _two_terms()
 
 @dataclass(frozen=True)
 class Opening:
-    """What decides the accuracy.
+    """Parameters of the accuracy of a tree.
 
     Parameters
     ----------
     angle : float
         Two nodes are far if their radii add up to less than this share of their distance.
     order : int
-        Of charges and Born integrals.
+        Order of charges and Born integrals.
     screened : float
-        Value of r^2 / (4 B B) up to which f of generalised Born differs from r.
+        Largest r^2 / (4 B B) at which f of generalised Born differs from r.
     lower : int
-        By how much less the order of dispersion is, which falls sooner.
+        Difference to the order of dispersion, which is lower because dispersion decays faster.
     """
 
     angle: float
@@ -62,7 +61,7 @@ class Opening:
 
 
 def same_charge(terms: Terms) -> bool:
-    """Whether Coulomb and generalised Born have the same charges, but for a factor."""
+    """Whether Coulomb and generalised Born have the same charges, except for a factor."""
     charge = terms.nonbonded.charge
     if terms.solvent is None or not charge.any():
         return True
@@ -78,7 +77,7 @@ def least_distance(layout: Layout) -> float:
 
 
 FEWEST_BLOCKS = 64
-"""Blocks below which no tree is grown: each chunk needs some."""
+"""Smallest number of blocks for a tree, because each chunk requires some."""
 _OPENINGS = (
     (Opening(0.6, 5, 6.0), 1e-2, 1.0),
     (Opening(0.5, 5, 7.0), 5e-3, 0.5),
@@ -92,8 +91,8 @@ _OPENINGS = (
     (Opening(0.35, 10, 14.0, 3), 1e-5, 1e-4),
     (Opening(0.3, 10, 16.0, 3), 3e-6, 3e-5),
 )
-"""Openings from quick to accurate, with the least RMS errors of forces in kJ/mol/nm that they are tried for:
-in a solvent, where far charges are screened, and in vacuum."""
+"""Openings from quick to accurate, with the smallest RMS errors of forces in kJ/mol/nm for which they are
+tried, in a solvent, which screens far charges, and in vacuum."""
 
 
 def openings(accuracy: float, in_solvent: bool) -> list[Opening]:
@@ -112,20 +111,19 @@ class Far:
     layout: Layout  # In the order of the tree.
     opening: Opening
     tree: Tree
-    # (n, 2) int: Pairs of far blocks, and their rows, that feel by how much f of generalised Born differs
-    # from r.
+    # (n, 2) int: Pairs of far blocks, and their rows, for which f of generalised Born differs from r.
     screened: tuple[Integers, np.ndarray] = (np.zeros((0, 2), np.int64), np.zeros((0, W), np.bool_))
 
     @cached_property
     def charge_ratio2(self) -> float:
-        """Square of the charge of generalised Born by that of Coulomb."""
+        """Square of the ratio of generalised Born's to Coulomb's charges."""
         solvent, charge = self.layout.terms.solvent, self.layout.terms.nonbonded.charge
         if solvent is None or not charge.any():
             return 0.0
         return float(solvent.charge @ charge / (charge @ charge)) ** 2
 
     def geometry(self) -> tuple[Any, ...]:
-        """Leaf of each block, nodes, roots, centres, and far nodes of each."""
+        """Leaf of each block, nodes, roots, centres, and far nodes of each node."""
         tree = self.tree
         leaves = np.flatnonzero(tree.nodes[:, LEFT] < 0)
         leaves = leaves[np.argsort(tree.nodes[leaves, FIRST])]
@@ -150,7 +148,7 @@ class Far:
 
     @cached_property
     def charges(self) -> Floats:
-        """(blocks, kinds, W) float: charge; factors of B; s^3 c_0 / 2, and its rest; dE/d(integral)."""
+        """(blocks, kinds, W) float: charge, factors of B, s^3 c_0 / 2 and its remainder, dE/d(integral)."""
         terms = self.layout.terms
         rows = [terms.nonbonded.charge, *self._factors[1][:, terms.nonbonded.lj_type]]
         if terms.solvent is not None:
@@ -163,8 +161,8 @@ class Far:
 
     def arguments(self) -> tuple[Any, ...]:
         """Interactions, orders and factors, by subject."""
-        # -> (fields,) int: Kind that each field acts on; its order; factors of force, of energy in vacuum,
-        # and polar.
+        # -> (fields,) int: Kind on which each field acts, its order, factors of force, of energy in vacuum
+        # and of polar energy.
         high, low = self.opening.order, max(1, self.opening.order - self.opening.lower)
         signs = self._factors[0]
         first, second, acts, orders = [(1, high, 0, 0)], [], [0], [high]
@@ -176,7 +174,7 @@ class Far:
             factors.append((-sign, -0.5 * sign, 0.0))
         if self.layout.terms.solvent is not None:
             near, remainder, pull = (1 + len(signs) + k for k in range(3))
-            # Field of the integrals, on dE/d(integral); fields of that, on what makes integrals.
+            # The integrals' field acts on dE/d(integral), fields of dE/d(integral) on the integrals' sources.
             first += [(4, high, near, near), (6, _REST, remainder, near)]
             second += [(4, high, pull, remainder), (6, _REST, pull, pull)]
             kinds, pulls = [*kinds, (near, high), (remainder, _REST)], [(pull, high)]
@@ -192,12 +190,12 @@ class Far:
 
     @property
     def _second(self) -> float:
-        """nm^2. Factor of r^-6 beside r^-4."""
+        """nm^2. Factor of r^-6 relative to r^-4."""
         return FAR_TERMS[1] / FAR_TERMS[0] * self._mean_square
 
     @cached_property
     def _mean_square(self) -> float:
-        """nm^2. Mean square of the scaled radii, by what they weigh."""
+        """nm^2. Mean square of the scaled radii, weighted by their cubes."""
         solvent = self.layout.terms.solvent
         s = np.abs(solvent.scaled_radius) if solvent else np.zeros(1)
         return float((s**5).sum() / max((s**3).sum(), 1e-300))

@@ -1,4 +1,4 @@
-"""Threads that help with all energies of a process. They sleep where there is nothing to do."""
+"""Threads that help with all energies of a process. They sleep if there is no work."""
 
 import os
 import threading
@@ -7,38 +7,38 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 
 Job = Callable[[], None]
-"""What helpers are asked for: some of the work, as long as there is any."""
+"""Job of helpers: part of the work, until none remains."""
 _MEMORY = 0.1
-"""s for which what helpers saved counts: many turns of the operating system's scheduler."""
+"""s over which the time saved by helpers is averaged: many turns of the operating system's scheduler."""
 _SHORTEST, _LONGEST = 0.1, 3.2
-"""s. Rests of helpers."""
+"""s. Shortest and longest pause of helpers."""
 _PROVEN = 0.3
-"""Share of the time saved with which earlier rests are forgotten; that of two undisturbed threads is 1."""
+"""Share of time saved that resets the length of pauses. Two undisturbed threads have a share of 1."""
 _CREDIT = 0.01
-"""s that helpers may cost at first: a few of the scheduler's turns."""
+"""s. Initial credit of helpers: a few turns of the scheduler."""
 
 
 @dataclass
 class Worth:
-    """Whether helpers save time. Beside other work they may cost more: who leads waits for their last tasks.
+    """Whether helpers save time. On a busy machine the leading thread may wait longer for their last tasks.
 
-    Where they have cost time on balance, they are not asked for a while, twice as long each time. This
-    changes nothing but time: an energy has the same bits on any number of threads.
+    After a net loss of time, helpers pause, for twice as long each time. This changes only the run time: an
+    energy has the same bits on any number of threads.
     """
 
     balance: float = _CREDIT
-    """s saved of late; what is past counts ever less."""
+    """s saved recently, as a decaying sum."""
     pause: float = 0.0
     pause_end: float = 0.0
-    """Length of the last rest, and its end, s."""
+    """Length and end of the last pause, s."""
 
     def should_ask(self, now: float) -> bool:
         """Whether to ask for helpers at a time in s."""
         return now >= self.pause_end
 
     def note(self, now: float, took: float, worked: float, share: float) -> None:
-        """Take account of an energy with helpers: now, took, worked s."""
-        # Alone it would have done the others at the same rate.
+        """Record an energy with helpers: now, took, worked in s."""
+        # Alone, the leading thread would have done all tasks at the same rate.
         saved = worked / share - took if share else took
         self.balance = (1.0 - min(1.0, took / _MEMORY)) * self.balance + saved
         if self.balance < 0.0:
@@ -49,14 +49,14 @@ class Worth:
 
 
 class Helpers:
-    """Threads, started when first asked for."""
+    """Threads, started at the first request."""
 
     def __init__(self) -> None:
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._threads = 0
 
     def ask(self, job: Job, n: int, max_threads: int) -> None:
-        """Wake n threads for a job, of ``most`` in all."""
+        """Wake n threads for a job, of at most ``max_threads``."""
         while self._threads < max_threads:
             self._threads += 1
             threading.Thread(target=_serve, args=(self._jobs,), daemon=True, name="protochain helper").start()
@@ -78,7 +78,7 @@ def helpers() -> Helpers:
 
 
 def _reset_after_fork() -> None:
-    """A process split off another has none of its threads."""
+    """Discard the threads, which a forked process does not have."""
     _pool[0] = Helpers()
 
 

@@ -18,7 +18,7 @@ _PROBE = 0.14
 _AREA_CUSTOM = 28.3919551
 """kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it."""
 OBC_OFFSET = 0.009
-"""nm. Offset of the dielectric radii: GBSAOBCForce subtracts it, the files have it subtracted already."""
+"""nm. Offset of the dielectric radii. GBSAOBCForce subtracts it, in the files it is already subtracted."""
 _OBC2 = (1.0, 0.8, 4.85)
 """alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1."""
 
@@ -28,8 +28,7 @@ class Necks:
     """Neck tables of GBn and GBn2."""
 
     kind: Integers  # (na,) int: Row of each atom in the tables.
-    # height, place: (kinds, kinds): Height (1/nm) and position (nm) of the neck's peak for atom i beside atom
-    # j.
+    # height, place: (kinds, kinds): Height (1/nm) and position (nm) of the peak for atom i next to atom j.
     height: Floats
     place: Floats
     reach: Floats  # (kinds, kinds) nm: Distance at which a neck ends.
@@ -99,7 +98,7 @@ _F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
 def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
-    """Read HCT, OBC1, OBC2, GBn or GBn2, recognised by the exact expressions of OpenMM's implicit files."""
+    """Read HCT, OBC1, OBC2, GBn or GBn2 from the exact expressions of OpenMM's implicit files."""
     cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else plain(force.getCutoffDistance())
     if force.getNumExclusions() or force.getNumGlobalParameters():
         raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")

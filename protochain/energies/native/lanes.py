@@ -1,8 +1,7 @@
-"""Rows of LANES numbers as vectors of the processor, kept in its registers through sums.
+"""Rows of LANES numbers as vectors that remain in the processor's registers during sums.
 
-Where rows are found by index, the compiler cannot know that they do not overlap, and asks before each; it
-also writes a sum back after each product. Written in the intermediate language of LLVM, as in :mod:`atomic`,
-contractions take half the time.
+For rows by index the compiler cannot exclude overlap. It checks each row and writes a sum back after each
+product. In LLVM's intermediate language, as in :mod:`atomic`, contractions are twice as fast.
 """
 
 from typing import Any
@@ -14,8 +13,8 @@ from numba.core import cgutils
 from protochain.energies.native.atomic import intrinsic
 
 LANES = 16
-"""Numbers in a row: as many far nodes side by side. Of twice as many, rows of order 6 would take twice the
-first cache, and be filled less often."""
+"""Numbers in a row, one per far node. With twice as many, rows of order 6 would need twice the first cache
+and be full less often."""
 _ROW = ir.VectorType(ir.DoubleType(), LANES)
 _FAST = ("contract",)
 
@@ -55,7 +54,7 @@ def put_product(
 def add_products(
     typing: Any, sums: Any, to: Any, first: Any, second: Any, selection: Any, begin: Any, n: Any
 ) -> Any:
-    """Add one[k] * other[which[begin + k]], k < n, to sums[to], of arrays (., LANES) and (.,) int."""
+    """Add first[k] * second[selection[begin + k]], k < n, to sums[to], of arrays (., LANES) and (.,) int."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def row(place: int, index: Any) -> Any:

@@ -1,7 +1,7 @@
 """Memory layout of atoms: blocks of W atoms, each quantity in one row of W numbers.
 
-Rows lie at constant distances from one address: the compiler sees that rows written do not overlap rows read,
-and vectorises over four atoms, or eight.
+Rows are at constant distances from one address. The compiler therefore knows that written rows do not overlap
+rows read, and vectorises over four or eight atoms.
 """
 
 import math
@@ -14,56 +14,56 @@ from protochain.core.arrays import Floats
 from protochain.core.compilation import njit
 
 W = 32
-"""Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""
+"""Atoms in a block. Wider blocks waste time on padding, narrower blocks on sums along rows."""
 X, Y, Z, CHARGE, GB_CHARGE, S2, S3, BORN, HALF_INVERSE_BORN, PULL, BOX = range(11)
-"""Rows of a block: position (nm); charges times the root of their constant; square and half the cube of the
-scaled radius; Born radius B; 1/(2 B); dE/d(Born integral); lowest and highest x, y, z of its atoms."""
+"""Rows of a block: position (nm), charges times the root of their constant, square and half the cube of the
+scaled radius, Born radius B, 1/(2 B), dE/d(Born integral), and lowest and highest x, y, z of its atoms."""
 ROWS = 11
 FX, FY, FZ, SCALAR = range(4)
 """Rows that the chunks write: force, and one scalar sum of each atom (Born integral or dE/dB)."""
 SUMS = 4
 CHUNKS = 16
-"""Parts of the work, for any number of threads: sums keep their order, and results their bits."""
+"""Parts of the work, for any number of threads. The order of sums is fixed, so results are bit-identical."""
 Share = tuple[int, int]
-"""Chunks that a call of a kernel does, from the first to before the second."""
+"""Range of chunks for a kernel call, from the first to before the second."""
 FAR_AWAY = 1e6
 """nm. Spacing of the atoms that pad the last block, which have neither charge nor radius."""
 
 _WITHIN: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
-"""Of functions that kernels call, and Python does not: a wrapper for it would take 0.2 s to compile."""
+"""Options of functions that only kernels call. A wrapper for Python would require 0.2 s to compile."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def tile_kernel(function: F) -> F:
-    """Compile a kernel of two blocks: sums along a row may be reordered, to vectorise."""
+    """Compile a kernel of two blocks. Sums along a row may be reordered, to vectorise."""
     fast = {"contract", "reassoc", "nsz"}
     return cast(F, njit(cache=True, error_model="numpy", fastmath=fast)(function))
 
 
 def variant(function: F) -> F:
-    """Compile as :func:`tiled`, inlined: branches on constants of the caller cost nothing in loops."""
+    """Compile as :func:`tile_kernel`, inlined: branches on constants of the caller have no cost in loops."""
     fast = {"contract", "reassoc", "nsz"}
     return cast(F, njit(error_model="numpy", fastmath=fast, **_WITHIN)(function))
 
 
 def ordered_kernel(function: F) -> F:
-    """Compile as :func:`variant`, but additions keep their order: one that rounds is no detour to remove."""
+    """Compile as :func:`variant`, with additions in their order, so that roundings by addition remain."""
     return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, **_WITHIN)(function))
 
 
 def scalar(function: F) -> F:
-    """Compile a kernel that works term by term."""
+    """Compile a kernel for single terms."""
     return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
 
 
 def chunk_kernel(function: F) -> F:
-    """Compile a loop over chunks, any of which may be done by any thread."""
+    """Compile a loop over chunks, any of which may run on any thread."""
     return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
 def inline_kernel(function: F) -> F:
-    """Compile as :func:`shared`, inlined: a call would count the references of all arrays up and down."""
+    """Compile as :func:`chunk_kernel`, inlined, because a call would count the references of all arrays."""
     return cast(F, njit(error_model="numpy", nogil=True, **_WITHIN)(function))
 
 
@@ -80,7 +80,7 @@ def in_blocks(values: np.ndarray) -> np.ndarray:
 
 
 def empty_blocks(n: int) -> Floats:
-    """(blocks, ROWS * W) float: blocks of n atoms, far away, uncharged and of unit Born radius."""
+    """(blocks, ROWS * W) float: blocks of n atoms, far away, uncharged and with unit Born radius."""
     blocks = np.zeros((n_blocks(n), ROWS, W))
     blocks[:, X] = FAR_AWAY * (1 + np.arange(blocks[:, X].size).reshape(-1, W))
     blocks[:, BORN], blocks[:, HALF_INVERSE_BORN] = 1.0, 0.5
@@ -88,7 +88,7 @@ def empty_blocks(n: int) -> Floats:
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> Floats:
-    """Zeros that begin at a cache line, which vectors of eight doubles would otherwise straddle."""
+    """Zeros aligned to a cache line, which vectors of eight doubles would otherwise straddle."""
     size, line = math.prod(shape), 8
     buffer = np.zeros(size + line)
     start = -(buffer.ctypes.data // buffer.itemsize) % line
@@ -97,7 +97,7 @@ def aligned_zeros(shape: tuple[int, ...]) -> Floats:
 
 @scalar
 def put_positions(x: Floats, atoms: Floats) -> None:
-    """Write positions (na, 3) into the blocks, and the boxes around these, padding included."""
+    """Write positions (na, 3) into the blocks, and the blocks' boxes, including padding."""
     for i in range(len(x)):
         block, k = i // W, i % W
         for axis in range(3):
@@ -124,8 +124,8 @@ def box_distance2(a: Floats, i: int, b: Floats) -> float:
 
 @scalar
 def far_rows2(is_near: bool, i_near: float, j_near: float, cutoff: float) -> float:
-    """Squared distance beyond which a row, an atom with a block, needs neither near series nor masks."""
-    # 0 if all of a tile's rows are beyond, infinite if a cutoff masks all.
+    """Squared distance beyond which a row, an atom with a block, requires neither near series nor masks."""
+    # 0 if all rows of a tile are beyond it, infinite if a cutoff masks all rows.
     if cutoff < np.inf:
         return np.inf
     return max(i_near, j_near) ** 2 if is_near else 0.0
@@ -139,13 +139,13 @@ def part(n: int, chunk: int) -> tuple[int, int]:
 
 @scalar
 def atoms_of(begin: int, end: int, n: int) -> tuple[int, int]:
-    """First atom of the blocks from ``begin`` to before ``end``, and last but one, of n atoms."""
+    """Range of atoms in the blocks from ``begin`` to before ``end``, of n atoms."""
     return min(n, begin * W), min(n, end * W)
 
 
 @scalar
 def collect_scalars(begin: int, end: int, sums: Floats, is_written: np.ndarray, scalars: Floats) -> None:
-    """Add up row SCALAR of some blocks over the chunks, in their order, into (blocks * W,), and clear it."""
+    """Sum row SCALAR of some blocks over the chunks, in order, into (blocks * W,), and clear it."""
     for b in range(begin, end):
         row = scalars[b * W : (b + 1) * W]
         row[:] = 0.0
@@ -160,8 +160,8 @@ def collect_scalars(begin: int, end: int, sums: Floats, is_written: np.ndarray, 
 
 @scalar
 def add_forces(begin: int, end: int, sums: Floats, is_written: np.ndarray, forces: Floats) -> None:
-    """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order."""
-    # Only those that a chunk writes to, ``touched`` (CHUNKS, blocks): a region's tiles are few.
+    """Sum the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in order."""
+    # Only blocks to which a chunk writes, ``is_written`` (CHUNKS, blocks), because a region has few tiles.
     total = np.empty(3 * W)
     for b in range(begin, end):
         total[:] = 0.0

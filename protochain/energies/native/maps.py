@@ -11,7 +11,7 @@ _HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1
 def spline_coefficients(grid: Floats) -> Floats:
     """Fit the periodic bicubic spline through a map."""
     # grid (size, size) kJ/mol -> (size, size, 4, 4): Coefficients of u^a v^b, u and v from 0 to 1 in a cell.
-    # First and cross derivatives are those of periodic cubic splines along either axis: MacKerell, Feig,
+    # First and cross derivatives are from periodic cubic splines along each axis: MacKerell, Feig,
     # Brooks, J. Comput. Chem. 25:1400 (2004).
     along = _slopes(grid, 0)
     across = _slopes(grid, 1)
@@ -27,7 +27,7 @@ def spline_coefficients(grid: Floats) -> Floats:
 
 def _slopes(values: Floats, axis: int) -> Floats:
     """Differentiate the periodic spline along one axis, per grid step."""
-    # Imported only for force fields with maps: the import takes as long as minimising a small protein.
+    # Imported only for force fields with maps, because the import is as slow as minimising a small protein.
     from scipy.interpolate import CubicSpline
 
     size = values.shape[axis]

@@ -18,12 +18,12 @@ class Lists:
 
     x: Floats  # (na, 3) nm: Positions at which the lists were built.
     tiles: Integers  # (n_tiles, 2) int: Pairs of blocks within the cutoff, the second not before the first.
-    changing: Integers  # (n, 2) int: Those of ``tiles`` whose atoms do not all belong to one rigid group.
-    is_near: np.ndarray  # (n,) bool: Whether two atoms of those may be near each other.
-    is_necked: np.ndarray  # (n_tiles,) bool: Whether two of their atoms may have a neck between them.
-    # (n, 2) int: Pairs of atoms that may be near each other, without those at a fixed distance.
+    changing: Integers  # (n, 2) int: Tiles whose atoms do not all belong to one rigid group.
+    is_near: np.ndarray  # (n,) bool: Whether atoms of a changing tile may be near each other.
+    is_necked: np.ndarray  # (n_tiles,) bool: Whether atoms of a tile may have a neck.
+    # (n, 2) int: Pairs of atoms that may be near each other, without pairs at a fixed distance.
     close: Integers
-    free: Integers  # (n, 2) int: Pairs of ``close`` that are no exceptions.
+    free: Integers  # (n, 2) int: Pairs of ``close`` that are not exceptions.
 
     def are_valid(self, x: Floats) -> bool:
         """Whether the lists are valid at x: no atom has moved more than half the skin."""
@@ -75,7 +75,7 @@ def _boxes(x: Floats) -> tuple[Floats, Floats]:
 def _tiles(
     low: Floats, high: Floats, near: Floats, neck_reach: float, cutoff: float
 ) -> tuple[Integers, np.ndarray, np.ndarray]:
-    """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near; which have necks."""
+    """Sorted pairs of blocks within the cutoff, and whether they are near and may have necks."""
     axis = int(np.argmax(np.ptp(low, axis=0)))
     tiles, kinds = _sweep_tiles(np.argsort(low[:, axis]), axis, low, high, near, neck_reach, cutoff)
     order = np.lexsort((tiles[:, 1], tiles[:, 0]))
@@ -87,9 +87,9 @@ def _tiles(
 def _sweep_tiles(
     order: Integers, axis: int, low: Floats, high: Floats, near: Floats, neck_reach: float, cutoff: float
 ) -> tuple[Integers, np.ndarray]:
-    """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns."""
-    # Along the axis on which they spread most, blocks are read as they begin, and each is compared with those
-    # that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
+    """Pairs of blocks within the cutoff, and whether they are near and have necks, as two columns."""
+    # Sweep along the axis with the largest spread: a block is compared only with blocks that begin before its
+    # end. With a short cutoff the time per atom hardly grows with the number of atoms.
     n, room = len(low), 1024
     tiles, kinds = np.empty((room, 2), np.int64), np.empty((room, 2), np.bool_)
     count = 0
@@ -115,7 +115,7 @@ def _sweep_tiles(
 def _classify_tiles(
     tiles: Integers, low: Floats, high: Floats, near: Floats, neck_reach: float
 ) -> np.ndarray:  # fmt: skip
-    """Which pairs of blocks are near, and which have necks, as two columns."""
+    """Whether pairs of blocks are near and may have necks, as two columns."""
     kinds = np.empty((len(tiles), 2), np.bool_)
     for k in range(len(tiles)):
         distance2 = _box_distance2(low, high, tiles[k, 0], tiles[k, 1])
@@ -136,9 +136,9 @@ def _box_distance2(low: Floats, high: Floats, i: int, j: int) -> float:
 
 @scalar
 def grow_rows(rows: np.ndarray, room: int) -> np.ndarray:
-    """Rows, and room for more behind them."""
+    """Copy rows into an array with room for more rows."""
     grown = np.empty((room, rows.shape[1]), rows.dtype)
-    # Element by element: an assignment of slices takes three seconds to compile.
+    # Element by element, because an assignment of slices would compile for three seconds.
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
             grown[i, j] = rows[i, j]
@@ -179,7 +179,7 @@ def _share_group(groups: Integers, i: int, j: int) -> bool:
 
 
 def block_groups(groups: Integers) -> Integers:
-    """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none: groups (na, k) int."""
+    """(blocks,) int: rigid group of all atoms of a block, -1 for none, from groups (na, k)."""
     group = []
     for first in range(0, len(groups), W):
         rows = groups[first : first + W]

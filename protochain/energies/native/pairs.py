@@ -1,8 +1,7 @@
 """Lennard-Jones and Coulomb energies of pairs, in tiles of blocks and in lists.
 
-Tiles compute all pairs at ``near`` or further, a vector at a time, bonded or not. Nearer pairs, among which
-the repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are
-then corrected one by one.
+Tiles compute all pairs at ``near`` or further, bonded or not, as vectors. Closer pairs come from a list
+without excluded pairs, whose repulsion would drown all other digits. Exceptions are corrected one by one.
 """
 
 import numpy as np
@@ -31,11 +30,11 @@ from protochain.energies.native.layout import (
 )  # fmt: skip
 from protochain.energies.native.series import inverse_root, slope_series
 
-# Arrays are passed one by one: NamedTuples of them give the same bits, but numba's dispatch then costs 1 to
-# 6 % of an energy of 1l2y (7 to 22 us) and 1 to 3 % of one of 1ubq, on 2 threads.
+# Arrays are separate arguments. NamedTuples give the same bits, but numba's dispatch then costs 1 to 6 % of
+# an energy of 1l2y (7 to 22 us) and 1 to 3 % of an energy of 1ubq, on 2 threads.
 
 CLOSEST = 1e-12
-"""nm^2. Smallest squared distance: coincident atoms give large, not infinite, numbers."""
+"""nm^2. Smallest squared distance, so that coincident atoms give large, not infinite, numbers."""
 
 
 @chunk_kernel
@@ -63,7 +62,7 @@ def solvated_pair_sums(
     near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom."""
-    # Together, because both need inverse distances.
+    # Together, because both require inverse distances.
     for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, inverses = 0.0, np.empty(W)
@@ -103,7 +102,7 @@ def _tile(
     cutoff2: float, in_solvent: bool, krf: float, crf: float, inverses: Floats, a_sums: Floats,
     b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Rows of a tile, with masks only where the block is near the atom."""
+    """Compute the rows of a tile, with masks only for atoms near the block."""
     energy = 0.0
     for i in range(W):
         row, first = lj[lj_type[i]], i if same else -1
@@ -120,8 +119,8 @@ def _tile(
 def put_inverses(
     a: Floats, i: int, b: Floats, first: int, masked: bool, near2: float, cutoff2: float, inverses: Floats
 ) -> None:
-    """Inverse distances of an atom from a block; 0 where masked."""
-    # In a loop of their own: the processor keeps shorter chains of dependences under way side by side.
+    """Write inverse distances of an atom from a block, 0 if masked."""
+    # In a separate loop, because the processor executes shorter chains of dependences in parallel.
     xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
     for j in range(W):
         dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
@@ -137,8 +136,8 @@ def add_pairs(
     a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
     inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Add the forces between an atom and a block, return the energy."""
-    # ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
+    """Add the forces between an atom and a block, and return the energy."""
+    # ``row`` has 12 A and 6 B of A/r^12 - B/r^6 of the atom with each atom of b.
     xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i]
     s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
     energy, fx, fy, fz = 0.0, 0.0, 0.0, 0.0
@@ -194,7 +193,7 @@ def exception_sums(
     chunks: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
     parameters: Floats, near: float, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
-    """Add exceptions, pairs with their own parameters (A, B, q q), and subtract what the tiles computed."""
+    """Add exceptions, pairs with their own parameters (A, B, q q), and subtract the values from tiles."""
     for c in range(*chunks):
         begin, end = part(len(pairs), c)
         energy = 0.0

@@ -9,7 +9,7 @@ from protochain.core.errors import ForceFieldError
 
 
 class UnsupportedForceError(ForceFieldError):
-    """A force for which there is no exact native kernel; its text names the force.
+    """Error for a force without an exact native kernel. The text names the force.
 
     Parameters
     ----------
@@ -21,28 +21,28 @@ class UnsupportedForceError(ForceFieldError):
 
 
 def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
-    """What a getter of a force returns for each index up to a count, as plain numbers in OpenMM's units."""
-    # OpenMM's own wraps each in a quantity, which takes three quarters of the time.
+    """Return the values of a force's getter for each index, as plain numbers in OpenMM's units."""
+    # OpenMM's Python getter wraps each value in a quantity, which takes three quarters of the time.
     read = getattr(openmm.openmm._openmm, f"{type(force).__name__}_{get}", None)
     indices = range(getattr(force, count)())
-    if read is None:  # In a version of OpenMM that has other insides.
+    if read is None:  # In a version of OpenMM with other internals.
         return [[plain(v) if unit.is_quantity(v) else v for v in getattr(force, get)(i)] for i in indices]
     return [read(force, i) for i in indices]
 
 
 def plain(value: Any) -> float:
-    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
-    # Its quantities are in these units.
+    """Convert a value of an OpenMM getter to a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
+    # OpenMM's quantities are in these units.
     return float(value._value if isinstance(value, unit.Quantity) else value)
 
 
 def strip(expression: str) -> str:
-    """Return an expression without blanks and closing semicolon."""
+    """Return an expression without blanks and final semicolon."""
     return "".join(expression.split()).rstrip(";")
 
 
 def check_cutoff(name: str, cutoff: float, reference: float) -> None:
-    """Refuse a force whose cutoff (nm; infinite for none) differs from that of NonbondedForce."""
+    """Refuse a force whose cutoff in nm (infinite for none) differs from NonbondedForce's cutoff."""
     if cutoff != reference:
         raise UnsupportedForceError(
             f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {reference:g} nm"

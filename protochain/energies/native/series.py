@@ -1,7 +1,8 @@
 """Polynomials in place of roots, logarithms and exponentials.
 
-These do not vectorise without a vector library, or wait for a processor's one divider. Interpolated at
-Chebyshev points, with relative errors below 3e-12; of roots, exponentials and logarithms below 1e-13.
+The functions do not vectorise without a vector library, or wait for a processor's only divider. Polynomials
+interpolate at Chebyshev points, with relative errors below 3e-12, or 1e-13 for roots, exponentials and
+logarithms.
 """
 
 from collections.abc import Callable
@@ -11,9 +12,9 @@ import numpy as np
 from protochain.energies.native.layout import ordered_kernel
 
 NEAR_RATIO = 0.5
-"""Largest s / r for which the near series hold."""
+"""Largest s / r for which the near series are valid."""
 FAR_RATIO = 0.24
-"""Largest s / r for which the far series hold."""
+"""Largest s / r for which the far series are valid."""
 
 
 def fit_chebyshev(
@@ -47,13 +48,13 @@ _LOG = fit_chebyshev(
 )
 _SMALLEST_POWER = -60.0
 _ROUNDING = 2.0**52 + 2.0**51
-"""Added to a double, rounds it to a whole number, which its last bits then hold."""
+"""Addition of this number rounds a double to a whole number, which is then in its last bits."""
 _HALVED = np.uint64(0x5FE6EB50C7B537A9)
-"""Minus half the bits of a double, added to this, are those of its inverse root within 3.5 %."""
+"""This number minus half the bits of a double gives the bits of its inverse root within 3.5 %."""
 _ONE, _MANTISSA = np.uint64(1), np.uint64(52)
 _BIAS = np.uint64(1023)
 _FROM_ROOT_HALF = np.uint64(0x3FF0000000000000 - 0x3FE6A09E667F3BCD)
-"""From the bits of the root of 1/2 to those of 1."""
+"""Difference from the bits of the root of 1/2 to the bits of 1."""
 _ROUNDING_BITS = np.uint64(0x4338000000000000)
 _LN2 = float(np.log(2.0))
 
@@ -61,8 +62,8 @@ _LN2 = float(np.log(2.0))
 _Coefficients = tuple[float, ...]
 
 
-# Plain Horner: fewest operations. With terms in pairs, LLVM's superword-level vectoriser takes a helper
-# before the loop vectoriser sees it in its loop.
+# Plain Horner: fewest operations. With paired terms, LLVM's superword-level vectoriser transforms a function
+# before the loop vectoriser can process it in its loop.
 @ordered_kernel
 def _horner_4(c: _Coefficients, x: float) -> float:
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
@@ -101,8 +102,8 @@ def slope_series(y: float, near: bool) -> float:
 
 @ordered_kernel
 def power_of_two(y: float) -> float:
-    """2^y for y <= 0; 2^-60, negligible beside what it is added to, for y < -60."""
-    # y = n + z, n whole: n goes into the bits of the exponent.
+    """2^y for y <= 0, and 2^-60, negligible in its sum, for y < -60."""
+    # y = n + z, n whole: n is added to the bits of the exponent.
     y = max(y, _SMALLEST_POWER)
     rounded = y + _ROUNDING
     value = _horner_10(_POWER, y - (rounded - _ROUNDING))
@@ -112,7 +113,7 @@ def power_of_two(y: float) -> float:
 
 @ordered_kernel
 def inverse_root(x: float) -> float:
-    """1 / sqrt(x), finite for x = 0: three times as fast as the divider of a processor."""
+    """1 / sqrt(x), finite for x = 0, three times as fast as the divider of a processor."""
     # From a guess y by the bits of x, 1 / sqrt(x) = y (1 - e)^(-1/2), e = 1 - x y^2, as a polynomial, twice.
     y = np.uint64(_HALVED - (np.float64(x).view(np.uint64) >> _ONE)).view(np.float64)
     y *= _horner_4(_ROOT, 1.0 - x * y * y)

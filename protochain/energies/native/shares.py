@@ -1,7 +1,6 @@
-"""Energies of all pairs of atoms, by pairs of residues: to tell, not to follow, a force.
+"""Energies of all pairs of atoms, by pairs of residues, for analysis without forces.
 
-The terms are those of ``pairs`` and ``born``; every pair is visited, whatever the neighbour lists, and none
-has a force.
+The terms are as in ``pairs`` and ``born``. Every pair is visited, independent of the neighbour lists.
 """
 
 import numpy as np
@@ -23,9 +22,9 @@ def residue_sums(
     gb_charge: Floats, born: Floats, gb_cutoff: float, matrix: Floats,
 ) -> None:  # fmt: skip
     """Put the energies of the pairs of residues first to last with all that follow, and within them."""
-    # ``start`` (nr + 1,) are the first atoms of the residues; ``x`` (3, na); ``partners`` of atom i, from
-    # ``partner_start[i]`` on, have terms of their own, but generalised Born. ``matrix`` (3, last - first, nr)
-    # gets them on and above the diagonal.
+    # ``start`` (nr + 1,) are the first atoms of the residues, ``x`` is (3, na). ``partners`` of atom i, from
+    # ``partner_start[i]`` on, have separate terms, except generalised Born. ``matrix`` (3, last - first, nr)
+    # receives the energies on and above the diagonal.
     n_residues, n_atoms = len(start) - 1, x.shape[1]
     free = np.ones(n_atoms)
     row = np.empty((3, n_residues))

@@ -1,9 +1,9 @@
-"""One energy as tasks that any number of threads do in any order, to the same bits.
+"""One energy as tasks that any number of threads do in any order, with bit-identical results.
 
-An energy has steps, of which each needs the one before; a step is a number of tasks, of a few chunks each.
-Tasks are numbered through all steps and energies. A thread takes the next number if its step is open; who
-finishes a step opens the next. No thread waits for one that has not begun a task: threads that the operating
-system does not run cost nothing.
+An energy has steps, each of which requires the previous one. A step has tasks of a few chunks. Tasks are
+numbered through all steps and energies. A thread claims the next number if its step is open. The thread that
+completes a step opens the next. No thread waits for a thread without a task, so threads that the operating
+system does not run cause no delay.
 """
 
 from typing import Any
@@ -29,17 +29,17 @@ from protochain.energies.native.layout import (
 COUNTERS = 96
 """Length of the array of counters."""
 NEXT, OPEN, DONE, LAST, QUIT, TASKS, STEPS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 66, 80, 81, 82, 83
-"""Places in it, far apart for the cache: next task to take; tasks opened; done; of all energies so far;
-whether helpers shall leave; tasks of a step, a divisor of CHUNKS; steps to take; of the last energy, its
-tasks, those that the leading thread did, the ticks that it waited, and those that it took."""
+"""Its elements, far apart for the cache: next task, tasks opened, tasks done, tasks of all energies so far,
+whether helpers must quit, tasks of a step (a divisor of CHUNKS), number of steps. For the last energy: its
+tasks, tasks of the leading thread, ticks that this thread waited, and its total ticks."""
 _SPINS = 2000
-"""Looks at the counters before a waiting thread lets the operating system run others: some 50 us."""
+"""Checks of the counters before a waiting thread yields to the operating system: some 50 us."""
 _PATIENCE = 8000
-"""Looks at the counters before a helper leaves, and must be woken for the next energy: some 200 us."""
+"""Checks of the counters before a helper quits and must be woken for the next energy: some 200 us."""
 IN_VACUUM, IN_SOLVENT, TO_RADII = 2, 6, 2
-"""Steps of an energy, and up to the Born radii."""
+"""Steps of an energy in vacuum and in solvent, and steps up to the Born radii."""
 Pairwise = tuple[float, float, float, float]
-"""Least distance in tiles, cutoff, and the constants of the reaction field."""
+"""Smallest distance in tiles, cutoff, and the constants of the reaction field."""
 Term = tuple[Integers, Floats]
 """Atoms and parameters of the terms of one kind."""
 Maps = tuple[Integers, Integers, Floats]
@@ -47,7 +47,7 @@ Maps = tuple[Integers, Integers, Floats]
 Listed = tuple[
     tuple[Floats, Floats, Floats, Integers], Integers, Term, Term, Term, Term, Term, Term, Term, Maps
 ]
-"""Charges, A, B and types of atoms; free pairs; exceptions; bonded terms by kind, and maps."""
+"""Charges, A, B and types of atoms, free pairs, exceptions, bonded terms by kind, and maps."""
 BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SURFACE = range(10)
 """Rows of ``parts``, the components of the energy."""
 
@@ -56,7 +56,7 @@ BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SU
 def work(
     leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any
 ) -> None:  # fmt: skip
-    """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
+    """Do tasks. The leading thread stops after its energy, a helper if no task has come for a while."""
     buffer = np.empty(2, np.int64)
     began = since = ticks(buffer)
     if leads:
@@ -90,7 +90,7 @@ def work(
 
 @inline_kernel
 def take(counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any) -> bool:
-    """Do the next task, if one is open, and return whether one was."""
+    """Do the next task, if one is open, and return whether there was one."""
     task = load(counters, NEXT)
     if task >= load(counters, OPEN) or not replace(counters, NEXT, task, task + 1):
         return False
@@ -167,14 +167,14 @@ def in_solvent(
 
 @inline_kernel
 def far_moments(chunks: Share, atoms: Floats, stage: Any, far: Any) -> None:
-    """Moments of charges and of what makes Born integrals, or of dE/d(Born integral)."""
+    """Put the moments of charges and of Born integral sources, or of dE/d(Born integral)."""
     (charges, moments, _, _), (_, nodes, roots, centre, _, _), settings, _ = far
     expansion.put_moments(chunks, atoms, charges, stage[0], nodes, roots, centre, settings[5], moments)
 
 
 @inline_kernel
 def far_fields(chunks: Share, stage: Any, far: Any) -> None:
-    """Fields of these."""
+    """Put the fields of the moments."""
     (_, moments, fields, _), (_, nodes, roots, centre, start, source), settings, _ = far
     expansion.put_fields(
         chunks, stage[1], stage[2], nodes, roots, centre, start, source, settings[5], moments, fields
@@ -214,7 +214,7 @@ def far_forces(chunks: Share, state: Any, far: Any) -> None:
 @inline_kernel
 def clear(chunks: Share, sums: Floats, is_written: np.ndarray, parts: Floats) -> None:
     """Begin the sums of some chunks."""
-    # Element by element: an assignment of slices takes seconds to compile.
+    # Element by element, because an assignment of slices would compile for seconds.
     for c in range(*chunks):
         for block in range(sums.shape[1]):
             if is_written[c, block]:
@@ -226,13 +226,13 @@ def clear(chunks: Share, sums: Floats, is_written: np.ndarray, parts: Floats) ->
 
 @inline_kernel
 def blocks_of(chunks: Share, atoms: Floats) -> Share:
-    """Blocks of atoms that belong to some chunks: the first, and that after the last."""
+    """Range of blocks that belong to some chunks, from the first to before the second number."""
     return part(len(atoms), chunks[0])[0], part(len(atoms), chunks[1] - 1)[1]
 
 
 @inline_kernel
 def integrals(chunks: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
-    """Born integrals."""
+    """Add the Born integrals."""
     x, atoms, sums, _, _, _ = state
     _, _, tiles, is_near, block_near, (near, _, _, _) = vacuum
     (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _, _), (slopes, _, _, _) = solvent
@@ -245,14 +245,14 @@ def integrals(chunks: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) 
 
 @inline_kernel
 def born_radii(chunks: Share, state: Any, solvent: Any, far: Any) -> None:
-    """Born radii of some atoms."""
+    """Put the Born radii of some atoms."""
     x, atoms, sums, is_written, _, _ = state
     (offset_radius, radius, bend, _, _, _, _, _), (_, fixed, _), (_, integral, slope, _) = solvent
     blocks = blocks_of(chunks, atoms)
     collect_scalars(*blocks, sums, is_written, integral)
     if far is not None:
         (_, _, fields, _), (leaves, _, _, centre, _, _), (_, _, acts, orders, _, tabled), _ = far
-        # That of the integrals is the last but two.
+        # The field of the integrals is the third from the end.
         expansion.add_potential(
             chunks, atoms, len(acts) - 3, orders[len(acts) - 3], leaves, centre, tabled, fields, integral
         )  # fmt: skip
@@ -264,15 +264,15 @@ def born_radii(chunks: Share, state: Any, solvent: Any, far: Any) -> None:
 
 @inline_kernel
 def polar(chunks: Share, state: Any, solvent: Any) -> None:
-    """Energies of generalised Born, their forces, and derivatives by Born radii."""
+    """Add energies and forces of generalised Born, and derivatives by Born radii."""
     _, atoms, sums, _, parts, _ = state
-    # Of all tiles: where no atom has moved relative to another, Born radii have changed.
+    # For all tiles, because Born radii also change in tiles of rigid groups.
     born.polar_sums(chunks, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
 
 
 @inline_kernel
 def pulls(chunks: Share, state: Any, solvent: Any) -> None:
-    """Derivatives by the Born integrals of some atoms, and their own energies."""
+    """Put derivatives by the Born integrals of some atoms, and add their self energies."""
     x, atoms, sums, is_written, parts, _ = state
     (_, _, _, _, _, gb_charge, surface, _), _, (_, _, slope, pull) = solvent
     collect_scalars(*blocks_of(chunks, atoms), sums, is_written, pull)
@@ -285,7 +285,7 @@ def pulls(chunks: Share, state: Any, solvent: Any) -> None:
 
 @inline_kernel
 def solvated_pairs(chunks: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
-    """Energies and forces of pairs, with the forces by the change of the Born radii."""
+    """Add energies and forces of pairs, with forces from the change of the Born radii."""
     x, atoms, sums, _, parts, _ = state
     lj, lj_type, tiles, is_near, block_near, (near, pair_cutoff, krf, crf) = vacuum
     (_, _, _, _, _, _, _, cutoff), (close, _, _), (slopes, _, _, pull) = solvent
@@ -301,7 +301,7 @@ def solvated_pairs(chunks: Share, state: Any, vacuum: Any, solvent: Any, necks: 
 
 @inline_kernel
 def bonded_sums(chunks: Share, state: Any, pairwise: Pairwise, terms: Listed) -> None:
-    """Listed pairs, exceptions and bonded terms."""
+    """Add listed pairs, exceptions and bonded terms."""
     x, _, sums, _, parts, _ = state
     kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles, maps = terms
     near, _, krf, crf = pairwise

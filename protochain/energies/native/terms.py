@@ -32,7 +32,7 @@ class Nonbonded:
     lj_type: Integers  # (na,) int.
     a12: Floats  # a12, b6: (types, types): A and B of A/r^12 - B/r^6.
     b6: Floats
-    exceptions: Bonded  # Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
+    exceptions: Bonded  # Pairs with their own parameters (A, B, q q), all zero if excluded.
     cutoff: float  # nm: Infinite for none.
     krf: float  # krf, crf: Constants of the reaction field q q (1/r + krf r^2 - crf).
     crf: float
@@ -52,14 +52,14 @@ class Terms:
 
     @cached_property
     def is_proper(self) -> NDArray[np.bool_]:
-        """(n,) bool: whether the four atoms of each torsion are bonded one after the other."""
+        """(n,) bool: whether the four atoms of each torsion are bonded in sequence."""
         atoms = self.bonded["torsions"].atoms
         return np.asarray(np.all([self._near(*atoms[:, k : k + 2].T) for k in range(3)], axis=0))
 
     @cached_property
     def centres(self) -> Integers:
-        """(n, 2) int: atom that the others are bonded to, twice, or if there is none the middle two."""
-        # Of the torsions that are not proper, then of the impropers.
+        """(n, 2) int: atom bonded to the three others, twice, or the middle atoms if there is none."""
+        # For the torsions that are not proper, then for the impropers.
         impropers = self.bonded["torsions"].atoms[~self.is_proper]
         atoms = np.concatenate([impropers, self.bonded["impropers"].atoms])
         centres = atoms[:, 1:3].copy()
@@ -111,7 +111,7 @@ _SHAPES = {
 }  # fmt: skip
 """Atoms and parameters of each kind."""
 TIES = "ties of kept molecules"
-"""Name of the harmonic forces that hold bonds between the protein and kept molecules: kinds of their own."""
+"""Name of the harmonic forces for bonds between the protein and hetero molecules, separate kinds."""
 _TIED = {"ties": "bonds", "tie angles": "angles"}
 _WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "CustomGBForce")
 _ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
@@ -176,7 +176,7 @@ def _read_nonbonded(system: openmm.System, forces_by_class: dict[str, list[openm
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
     particles = np.array(rows(force, "getNumParticles", "getParticleParameters"))
     charge, sigma, epsilon = particles.T
-    # Without a well, sigma has no meaning: all such atoms share a type.
+    # Sigma has no effect without a well, so all such atoms share a type.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
     table = forces_by_class.get("CustomNonbondedForce")
     if table:

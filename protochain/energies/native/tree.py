@@ -1,9 +1,9 @@
 """A tree over blocks of atoms, and the pairs of its nodes that act as near or far.
 
 Atoms are ordered by recursive bisection of the longest side of their box, so that blocks of W atoms and
-groups of them are compact. Each of the CHUNKS has a tree of its own: what it sums inward and outward needs
-no other. Barnes, Hut, Nature 324:446 (1986); both nodes are opened in turn: Dehnen, J. Comput. Phys. 179:27
-(2002).
+groups of blocks are compact. Each of the CHUNKS has a separate tree, so its inward and outward sums are
+independent. Barnes, Hut, Nature 324:446 (1986). Both nodes are opened in turn: Dehnen, J. Comput. Phys.
+179:27 (2002).
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from protochain.energies.native.layout import CHUNKS, W, scalar
 from protochain.energies.native.neighbours import SKIN, grow_rows
 
 FIRST, END, LEFT, RIGHT, PARENT = range(5)
-"""Columns of a node: first block, that after the last; children, -1 for a leaf; parent, -1 for a root."""
+"""Columns of a node: range of blocks, children (-1 for a leaf), and parent (-1 for a root)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Nodes about fixed centres, parents before children, those of a chunk side by side."""
+    """Nodes about fixed centres, by chunk, with parents before children."""
 
     order: Integers  # (na,) int: Atoms in the order of the blocks.
     nodes: Integers  # (n, 5) int.
@@ -28,12 +28,12 @@ class Tree:
     centre: Floats  # (n, 3) nm.
     radius: Floats  # (n,) nm: Largest distance of an atom from the centre.
     start: Integers  # (n + 1,) int.
-    source: Integers  # (m,) int: Far nodes of each node, from its start on; far from each other.
+    source: Integers  # (m,) int: Far nodes of each node, from its start on.
     near: Integers  # (k, 2) int: Pairs of blocks that are not far, the second not before the first, in order.
 
 
 def build_tree(x: Floats, opening: float, least_distance: float) -> Tree:
-    """Build the tree at positions x (na, 3) in nm: least nm."""
+    """Build the tree at positions x (na, 3) in nm, with a least distance of far atoms in nm."""
     n = -(-len(x) // W)
     order, nodes = _bisect(x, n)
     roots = np.flatnonzero(nodes[:, PARENT] < 0)
@@ -57,7 +57,7 @@ def build_tree(x: Floats, opening: float, least_distance: float) -> Tree:
 
 @scalar
 def _bisect(x: Floats, n_blocks: int) -> tuple[Integers, Integers]:
-    """Order of the atoms, and nodes: halves of several chunks are chunks, those of one are blocks."""
+    """Order of the atoms, and nodes. Several chunks are halved by chunks, a single chunk by blocks."""
     n = len(x)
     order, nodes, count = np.arange(n), np.empty((2 * n_blocks, 5), np.int64), 0
     # Pending: first and last chunk (0, 0 within one), first and last block, parent, whether the right child.
@@ -109,7 +109,7 @@ def _bisect(x: Floats, n_blocks: int) -> tuple[Integers, Integers]:
 
 @scalar
 def _bounding_spheres(x: Floats, nodes: Integers) -> tuple[Floats, Floats]:
-    """Centre of each node's box, and radius about it."""
+    """Centre and bounding radius of each node."""
     centre, radius = np.empty((len(nodes), 3)), np.zeros(len(nodes))
     for node in range(len(nodes)):
         begin, end = nodes[node, 0] * W, min(len(x), nodes[node, 1] * W)
@@ -130,7 +130,7 @@ def _bounding_spheres(x: Floats, nodes: Integers) -> tuple[Floats, Floats]:
 def _pair_nodes(
     nodes: Integers, roots: Integers, centre: Floats, radius: Floats, opening: float, least_distance: float
 ) -> tuple[Integers, Integers]:
-    """Pairs of leaves that are near, as blocks, and pairs of nodes that are far."""
+    """Near pairs of leaves, as blocks, and far pairs of nodes."""
     near, far = np.empty((1024, 2), np.int64), np.empty((1024, 2), np.int64)
     n_near, n_far = 0, 0
     pending = np.empty((4096, 2), np.int64)
@@ -174,9 +174,9 @@ def _pair_nodes(
 
 
 def screened_pairs(tree: Tree, x: Floats, born: Floats, reach: float) -> tuple[Integers, np.ndarray]:
-    """Pairs of blocks that are far, but feel by how much f of generalised Born differs from r."""
-    # x (na, 3) nm, born (na,) nm -> (n, 2) int: Pairs of blocks, the second after the first, in order -> (n,
-    # W) bool: Rows of the first in which an atom does.
+    """Far pairs of blocks for which f of generalised Born differs from r."""
+    # x (na, 3) nm, born (na,) nm -> (n, 2) int: Sorted pairs of blocks, the second after the first,
+    # (n, W) bool: Rows of the first block with such pairs of atoms.
     born_max = np.array([born[first * W : end * W].max() for first, end in tree.nodes[:, :2]])
     low, high = _bounding_boxes(x, tree.nodes)
     return _screened_tiles(tree.nodes, tree.roots[:-1], tree.near, x, born, born_max, low, high, 4.0 * reach)
