@@ -99,7 +99,7 @@ def compare(
     start = Start(chain, energy, runs[0].judge)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []
-    further: list[Solution] = []
+    repeat_runs: list[Solution] = []
     for run, k in plan:
         watcher = watch(run.recipe.name) if watch else None
         try:
@@ -110,9 +110,9 @@ def compare(
             break
         interrupted = solution.status is Status.INTERRUPTED
         if not (interrupted and k):
-            (further if k else solutions).append(solution)
+            (repeat_runs if k else solutions).append(solution)
         if interrupted:
             break
     return Comparison(
-        chain.structure, tuple(solutions), reference=reference_structure, repeats=tuple(further)
+        chain.structure, tuple(solutions), reference=reference_structure, repeats=tuple(repeat_runs)
     )

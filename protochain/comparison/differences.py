@@ -157,14 +157,14 @@ def differences(before: Any, after: Any) -> Differences:
     """
     first, second = as_structure(before), as_structure(after)
     pairs = match(first, second)
-    turned = _turn_angles(first, second, pairs)
+    turns = _turn_angles(first, second, pairs)
     alphas = [
         layout(s).atoms("CA")[indices, 0] for s, indices in ((first, pairs.reference), (second, pairs.model))
     ]
     has_alpha = (np.array(alphas) != NONE).all(axis=0)
     x, y = first.positions[alphas[0]], second.positions[alphas[1]]
     turn, shift = motion(y[has_alpha], x[has_alpha])
-    moved = np.where(has_alpha, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
+    shifts = np.where(has_alpha, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
     domains, parts = np.zeros(len(has_alpha), dtype=int), rigid_domains(x[has_alpha], y[has_alpha])
     for k, part in enumerate(parts, 1):
         domains[np.flatnonzero(has_alpha)[part.members]] = k
@@ -175,14 +175,14 @@ def differences(before: Any, after: Any) -> Differences:
             "chain": first.residue_chain[pairs.reference], "residue": number[pairs.reference],
             "name": first.residue_name[pairs.reference],
             "secondary_structure": secondary_structure(first)[pairs.reference], "domain": domains,
-            **dict(zip(TORSIONS, turned.T, strict=True)),
-            "torsions_degrees": _root_mean_square(turned),
-            "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": moved,
+            **dict(zip(TORSIONS, turns.T, strict=True)),
+            "torsions_degrees": _root_mean_square(turns),
+            "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": shifts,
         }
     )  # fmt: skip
     bonds, counts = _bonds(first, second, pairs)
-    same = first.residue_name[pairs.reference] == second.residue_name[pairs.model]
-    changed = (names[0] != names[1]) & same & (names[0] != "") & (names[1] != "")
+    is_same = first.residue_name[pairs.reference] == second.residue_name[pairs.model]
+    changed = (names[0] != names[1]) & is_same & (names[0] != "") & (names[1] != "")
     totals: dict[str, Any] = {"rotamers_changed": int(changed.sum()), **counts}
     totals["contacts_kept"] = _contacts_kept(first, second, pairs)
     totals["ca_rmsd_angstrom"] = rmsd_angstrom(y[has_alpha], x[has_alpha])
@@ -233,8 +233,8 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
     """Rotamer of each residue, empty without rotamers or far from all."""
     sides = side_chains(s)
     names = np.zeros(s.n_residues, dtype="U8")
-    near = ~np.isin(sides.residue, sides.outliers)
-    names[sides.residue[near]] = sides.rotamer[near]
+    is_near = ~np.isin(sides.residue, sides.outliers)
+    names[sides.residue[is_near]] = sides.rotamer[is_near]
     return np.asarray(names[residues])
 
 

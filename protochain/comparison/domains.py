@@ -33,18 +33,18 @@ class Domain(NamedTuple):
 
 def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
     """Find the rigid domains of points (n, 3) that moved from x to y, the largest first: x, y (n, 3) nm."""
-    left, motions = np.arange(len(x)), list[tuple[Floats, Floats]]()
-    while len(left) >= LEAST:
-        domain = _largest(x, y, left)
+    remaining, motions = np.arange(len(x)), list[tuple[Floats, Floats]]()
+    while len(remaining) >= LEAST:
+        domain = _largest(x, y, remaining)
         if len(domain) < LEAST:
             break
         motions.append(motion(x[domain], y[domain]))
-        left = np.setdiff1d(left, domain)
+        remaining = np.setdiff1d(remaining, domain)
     if not motions:
         return []
-    away = np.array([_away(x, y, rigid_motion) for rigid_motion in motions])
-    nearest = away.argmin(axis=0)
-    parts = [np.flatnonzero((nearest == k) & (away[k] <= TOLERANCE)) for k in range(len(away))]
+    deviations = np.array([_deviations(x, y, rigid_motion) for rigid_motion in motions])
+    nearest = deviations.argmin(axis=0)
+    parts = [np.flatnonzero((nearest == k) & (deviations[k] <= TOLERANCE)) for k in range(len(deviations))]
     parts = sorted((part for part in parts if len(part) >= LEAST), key=len, reverse=True)
     turns = [motion(x[part], y[part])[0] for part in parts]
     angles = [np.degrees(Rotation.from_matrix(turn @ turns[0].T).magnitude()) for turn in turns]
@@ -54,21 +54,21 @@ def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
     ]  # fmt: skip
 
 
-def _largest(x: Floats, y: Floats, left: Integers) -> Integers:
+def _largest(x: Floats, y: Floats, remaining: Integers) -> Integers:
     """Largest domain of the remaining points, grown from all of them or from neighbours."""
-    best = _grow(x, y, left, left)
-    if len(best) == len(left):
+    best = _grow(x, y, remaining, remaining)
+    if len(best) == len(remaining):
         return best
-    for seed in left[:: max(1, len(left) // _SEEDS)]:
-        near = left[np.argsort(np.linalg.norm(x[left] - x[seed], axis=1), kind="stable")[:LEAST]]
-        grown = _grow(x, y, left, near)
-        best = grown if len(grown) > len(best) else best
+    for seed in remaining[:: max(1, len(remaining) // _SEEDS)]:
+        near = remaining[np.argsort(np.linalg.norm(x[remaining] - x[seed], axis=1), kind="stable")[:LEAST]]
+        domain = _grow(x, y, remaining, near)
+        best = domain if len(domain) > len(best) else best
     return best
 
 
-def _grow(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
+def _grow(x: Floats, y: Floats, points: Integers, members: Integers) -> Integers:
     for _ in range(_MOST_STEPS):
-        within = left[_away(x[left], y[left], motion(x[members], y[members])) <= TOLERANCE]
+        within = points[_deviations(x[points], y[points], motion(x[members], y[members])) <= TOLERANCE]
         if len(within) < LEAST:
             return within[:0]
         if np.array_equal(within, members):
@@ -77,7 +77,7 @@ def _grow(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
     return members
 
 
-def _away(x: Floats, y: Floats, move: tuple[Floats, Floats]) -> Floats:
+def _deviations(x: Floats, y: Floats, move: tuple[Floats, Floats]) -> Floats:
     """Distance (n,) of each point of y from the moved point of x."""
     turn, shift = move
     return np.asarray(np.linalg.norm(x @ turn.T + shift - y, axis=1))

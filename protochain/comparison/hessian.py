@@ -73,10 +73,10 @@ class Torques:
             return self._by_rows(freedoms)
         block = self._analytic()
         # The same memory is used: rows move towards its beginning.
-        less = block.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
-        for row, freedom in zip(less, freedoms, strict=True):
+        selected = block.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
+        for row, freedom in zip(selected, freedoms, strict=True):
             row[:] = block[freedom, freedoms]
-        return less
+        return selected
 
     def _analytic(self) -> Floats:
         """Pairs and Born radii analytically, bonded terms by differences for the hinges of each colour."""

@@ -113,8 +113,8 @@ class NormalModes(Value):
     @cached_property
     def frequencies(self) -> Floats:
         """(k,) float, 1/cm: w/2 pi c, negative for modes along which the energy falls."""
-        of = self.eigenvalues
-        return np.sign(of) * np.sqrt(np.abs(of)) / (2.0 * np.pi * LIGHT)
+        values = self.eigenvalues
+        return np.sign(values) * np.sqrt(np.abs(values)) / (2.0 * np.pi * LIGHT)
 
     @property
     def n_negative(self) -> int:
@@ -245,17 +245,17 @@ class NormalModes(Value):
         s = self.chain.structure
         squares = self.mean_squares(temperature)
         alpha = s.alpha_carbons
-        of = s.atom_residue[alpha]
+        residue = s.atom_residue[alpha]
         heavy = s.atom_element != "H"
         means = means_by(s.atom_residue[heavy], squares[heavy], s.n_residues)
         return pd.DataFrame(
             {
-                "chain": s.residue_chain[of],
-                "residue": np.char.add(s.residue_number, s.residue_insertion_code)[of],
-                "name": s.residue_name[of],
+                "chain": s.residue_chain[residue],
+                "residue": np.char.add(s.residue_number, s.residue_insertion_code)[residue],
+                "name": s.residue_name[residue],
                 "ca_fluctuation_angstrom": np.sqrt(squares[alpha]),
                 "ca_b_factor_angstrom2": _B * squares[alpha],
-                "b_factor_angstrom2": _B * means[of],
+                "b_factor_angstrom2": _B * means[residue],
                 "ca_b_factor_in_file_angstrom2": s.b_factor[alpha],
             }
         )
@@ -264,10 +264,10 @@ class NormalModes(Value):
     def b_factor_correlation(self) -> float | None:
         """Pearson's correlation of the C-alphas' B factors with the file's, None without B factors."""
         alpha = self.chain.structure.alpha_carbons
-        filed = self.chain.structure.b_factor[alpha]
-        if len(alpha) < 3 or not np.ptp(filed) > 0.0 or not self.is_stable:
+        in_file = self.chain.structure.b_factor[alpha]
+        if len(alpha) < 3 or not np.ptp(in_file) > 0.0 or not self.is_stable:
             return None
-        return float(np.corrcoef(self.mean_squares()[alpha], filed)[0, 1])
+        return float(np.corrcoef(self.mean_squares()[alpha], in_file)[0, 1])
 
     def overlap(self, other: Any) -> Floats:
         """Overlap of each mode with the change to another structure.
@@ -288,7 +288,7 @@ class NormalModes(Value):
         ProtochainError
             If fewer than three residues match, or nothing changes.
         """
-        modes, change = self._against(other)
+        modes, change = self._modes_and_change(other)
         sizes = np.linalg.norm(modes, axis=1)
         return np.abs(modes @ change) / np.where(sizes > 0.0, sizes, 1.0)
 
@@ -310,11 +310,11 @@ class NormalModes(Value):
         ProtochainError
             As :meth:`overlap`.
         """
-        modes, change = self._against(other)
+        modes, change = self._modes_and_change(other)
         basis = np.linalg.qr(modes.T)[0]
         return np.sqrt(np.minimum(1.0, np.cumsum((change @ basis) ** 2)))
 
-    def _against(self, structure: Any) -> tuple[Floats, Floats]:
+    def _modes_and_change(self, structure: Any) -> tuple[Floats, Floats]:
         """Displacements (k, 3n) of matched C-alphas without rigid motion, and the unit change (3n,)."""
         start = self.structure
         target = measurable(structure)
@@ -331,12 +331,12 @@ class NormalModes(Value):
                 f"{start.name} and {target.name}: fewer than three residues match; give another structure"
             )
         alpha_indices, atoms = (np.array(side) for side in zip(*pairs, strict=True))
-        start_positions, reached = (
+        start_positions, end_positions = (
             start.positions[start.alpha_carbons[alpha_indices]],
             target.positions[atoms],
         )
-        turn, shift = motion(reached, start_positions)
-        change = reached @ turn.T + shift - start_positions
+        turn, shift = motion(end_positions, start_positions)
+        change = end_positions @ turn.T + shift - start_positions
         modes = np.array([_without_rigid(mode[alpha_indices], start_positions) for mode in self._alphas])
         change = _without_rigid(change, start_positions)
         size = np.linalg.norm(change)
@@ -407,10 +407,10 @@ class NormalModes(Value):
         ------
         (na, 3) float, nm
         """
-        amplitude, moved = checked_amplitude(amplitude), self.displacements(mode)
+        amplitude, motion = checked_amplitude(amplitude), self.displacements(mode)
         alpha = self.chain.structure.alpha_carbons
-        moved = moved[alpha] if len(alpha) else moved
-        size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) * ANGSTROM_PER_NM
+        motion = motion[alpha] if len(alpha) else motion
+        size = float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))) * ANGSTROM_PER_NM
         for phase in np.linspace(0.0, 2.0 * np.pi, n_frames):
             change = amplitude / size * np.sin(phase) * self.modes[:, mode]
             yield pose(self.chain, multibody.integrate(self.chain.tree, self.q, change)).x

@@ -87,7 +87,7 @@ class Inertia:
         return np.asarray(np.linalg.solve(root.T, self.rigid[self.freedoms].T).T)
 
     @cached_property
-    def _of_whole(self) -> tuple[Floats, Floats]:
+    def _rigid_momenta(self) -> tuple[Floats, Floats]:
         """Momenta (n_v, 6) of the rigid motions, and their mass matrix (6, 6)."""
         momenta = np.array([self._multiply(motion) for motion in self.rigid.T]).reshape(-1, self.chain.n_v).T
         return momenta, self.rigid.T @ momenta
@@ -99,7 +99,7 @@ class Inertia:
         """Rates (n_v, ...) of all freedoms, without momentum, from the counted rates (n, ...)."""
         out = np.zeros((self.chain.n_v, *x.shape[1:]))
         out[self.freedoms] = x
-        momenta, block = self._of_whole
+        momenta, block = self._rigid_momenta
         return out - self.rigid @ np.linalg.solve(block, momenta.T @ out)
 
     def times(self, x: Floats) -> Floats:
@@ -112,14 +112,14 @@ class Inertia:
 
     def solve(self, tau: Floats) -> Floats:
         """Inverse of the mass matrix times (n,)."""
-        wide = np.zeros(self.chain.n_v)
-        wide[self.freedoms], wide[self._root] = tau, -self._along.T @ tau
-        rates = multibody.solve_mass(self.chain.tree, self.pose.frames, wide)
+        torques = np.zeros(self.chain.n_v)
+        torques[self.freedoms], torques[self._root] = tau, -self._along.T @ tau
+        rates = multibody.solve_mass(self.chain.tree, self.pose.frames, torques)
         return rates[self.freedoms] - self._along @ rates[self._root]
 
     def matrix(self) -> Floats:
         """Mass matrix (n, n)."""
-        momenta, block = self._of_whole
+        momenta, block = self._rigid_momenta
         block_of_freedoms = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
         momenta_of_freedoms = momenta[self.freedoms]
         block_of_freedoms = block_of_freedoms - momenta_of_freedoms @ np.linalg.solve(
@@ -132,9 +132,9 @@ class Inertia:
         log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
             return log_det_tree
-        of_whole, of_root = self._of_whole[1], self.rigid[self._root]
+        whole_mass, root = self._rigid_momenta[1], self.rigid[self._root]
         return (
-            log_det_tree - float(np.linalg.slogdet(of_whole)[1]) + 2.0 * float(np.linalg.slogdet(of_root)[1])
+            log_det_tree - float(np.linalg.slogdet(whole_mass)[1]) + 2.0 * float(np.linalg.slogdet(root)[1])
         )
 
 
@@ -184,11 +184,11 @@ def normal_modes(
     """
     check_modes(k, method)
     began = perf_counter()
-    energy_used, is_known = with_energy(chain, energy)
-    start = energy_used.q0 if q is None else floats(q, (energy_used.n_q,), "q")
-    held_by = frame_of(energy_used, is_known).held_by
-    chain, start = (energy_used, start) if held_by else _free_root(energy_used, start)
-    torques = torques_at(chain, is_known, start)
+    cut, energy_used = with_energy(chain, energy)
+    start = cut.q0 if q is None else floats(q, (cut.n_q,), "q")
+    held_by = frame_of(cut, energy_used).held_by
+    chain, start = (cut, start) if held_by else _free_root(cut, start)
+    torques = torques_at(chain, energy_used, start)
     at = pose(chain, torques.q)
     rigid_motions = np.empty((0, chain.n_v)) if held_by else motions_of_whole(chain, at)
     inertia = Inertia(chain, at, rigid_motions.T)
@@ -285,11 +285,11 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
         return _by_factor(_Factored(stiffness), inertia, k)
     mass, norm = inertia.matrix(), _largest(stiffness)
     values, vectors = eigh(stiffness, mass)
-    few = vectors[:, :k]
-    misfit = stiffness @ few - mass @ few * values[:k]
+    lowest = vectors[:, :k]
+    misfit = stiffness @ lowest - mass @ lowest * values[:k]
     largest, log_det = float(values[-1]), _log_det(stiffness)
     return _with_errors(
-        values[:k], few, misfit, norm, largest=largest, products=0, spectrum=values, log_det=log_det
+        values[:k], lowest, misfit, norm, largest=largest, products=0, spectrum=values, log_det=log_det
     )
 
 
@@ -335,24 +335,24 @@ class _Factored:
 def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Eigenpairs:
     """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive even with zero modes."""
     n = len(stiffness.diagonal)
-    k_of, m_of, rates_of, inverse = (
+    k_op, m_op, inverse_mass, inverse = (
         LinearOperator((n, n), matvec=f, dtype=np.float64)
         for f in (stiffness.__matmul__, inertia.times, inertia.solve, stiffness.solve)
     )
     start = np.ones(n)
-    one: dict[str, Any] = {"k": 1, "which": "LA", "return_eigenvectors": False, "v0": start}
-    norm = float(eigsh(k_of, **one)[0])
-    largest = float(eigsh(k_of, M=m_of, Minv=rates_of, **one)[0])
+    options: dict[str, Any] = {"k": 1, "which": "LA", "return_eigenvectors": False, "v0": start}
+    norm = float(eigsh(k_op, **options)[0])
+    largest = float(eigsh(k_op, M=m_op, Minv=inverse_mass, **options)[0])
     log_det = stiffness.log_det() if stiffness.factorise() else None
     shift = _SHIFT
     # The shift is below the lowest eigenvalue, so that the nearest eigenvalues are the lowest.
     while not stiffness.factorise(partial(inertia.column, shift)):
         shift *= 10.0
-    values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
+    values, lowest = eigsh(k_op, k=k, M=m_op, sigma=-shift, OPinv=inverse, v0=start)
     misfit = np.stack(
-        [stiffness @ a - inertia.times(a) * value for a, value in zip(few.T, values, strict=True)]
+        [stiffness @ a - inertia.times(a) * value for a, value in zip(lowest.T, values, strict=True)]
     )
-    return _with_errors(values, few, misfit.T, norm, largest=largest, products=0, log_det=log_det)
+    return _with_errors(values, lowest, misfit.T, norm, largest=largest, products=0, log_det=log_det)
 
 
 def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
@@ -362,9 +362,9 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     def stiffness(x: Floats) -> Floats:
         nonlocal n_products
         n_products += 1
-        wide = np.zeros(inertia.chain.n_v)
-        wide[inertia.freedoms] = x
-        return torques.product(wide)[inertia.freedoms]
+        rates = np.zeros(inertia.chain.n_v)
+        rates[inertia.freedoms] = x
+        return torques.product(rates)[inertia.freedoms]
 
     def operator(times: Callable[[Floats], Floats]) -> LinearOperator:
         def columns(x: Floats) -> Floats:
@@ -372,12 +372,12 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
 
         return LinearOperator((n, n), matvec=lambda x: times(x.ravel()), matmat=columns, dtype=np.float64)
 
-    k_of, m_of = operator(stiffness), operator(inertia.times)
-    norm = float(eigsh(k_of, k=1, tol=0.05, return_eigenvectors=False, v0=np.ones(n))[0])
+    k_op, m_op = operator(stiffness), operator(inertia.times)
+    norm = float(eigsh(k_op, k=1, tol=0.05, return_eigenvectors=False, v0=np.ones(n))[0])
     try:
         largest = float(
             eigsh(
-                k_of, k=1, M=m_of, Minv=operator(inertia.solve), tol=1e-3, return_eigenvectors=False,
+                k_op, k=1, M=m_op, Minv=operator(inertia.solve), tol=1e-3, return_eigenvectors=False,
                 v0=np.ones(n),
             )[0]
         )  # fmt: skip
@@ -390,13 +390,13 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     with warnings.catch_warnings():
         # Residuals are checked below.
         warnings.simplefilter("ignore")
-        solved: Any = lobpcg(
-            k_of, guides, B=m_of, M=operator(lambda x: cho_solve(factor, x)), tol=tolerance, maxiter=_SWEEPS,
+        solution: Any = lobpcg(
+            k_op, guides, B=m_op, M=operator(lambda x: cho_solve(factor, x)), tol=tolerance, maxiter=_SWEEPS,
             largest=False,
         )  # fmt: skip
-    order = np.argsort(solved[0])[:k]
-    values, vectors = solved[0][order], solved[1][:, order]
-    misfit = k_of.matmat(vectors) - m_of.matmat(vectors) * values
+    order = np.argsort(solution[0])[:k]
+    values, vectors = solution[0][order], solution[1][:, order]
+    misfit = k_op.matmat(vectors) - m_op.matmat(vectors) * values
     eigenpairs = _with_errors(values, vectors, misfit, norm, largest=largest, products=n_products)
     if np.max(eigenpairs.residuals) > RESIDUAL:
         raise ProtochainError(

@@ -50,13 +50,13 @@ def applies(energy: Energy) -> bool:
 
 def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     """Second derivatives (n_v, n_v) of all pairs of atoms, exceptions and Born radii included."""
-    terms, middle = energy.terms, at.x.mean(axis=0)
+    terms, centre = energy.terms, at.x.mean(axis=0)
     by_body = np.argsort(chain.atom_body, kind="stable")
-    x, body = at.x[by_body] - middle, chain.atom_body[by_body]
+    x, body = at.x[by_body] - centre, chain.atom_body[by_body]
     first = np.searchsorted(body, np.arange(chain.tree.n_bodies + 1)).astype(np.int64)
-    tree = np.array(chain.tree.parent), np.array(chain.tree.v_start), _motions(chain, at, middle)
-    matrix, none = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
-    solvated: tuple[Any, ...] = (False, none, none, none, none, False, none)
+    tree = np.array(chain.tree.parent), np.array(chain.tree.v_start), _motions(chain, at, centre)
+    matrix, zeros = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
+    solvated: tuple[Any, ...] = (False, zeros, zeros, zeros, zeros, False, zeros)
     with ThreadPoolExecutor(energy.threads) as pool:
         share = _shares(pool)
         if terms.solvent is not None:
@@ -64,7 +64,7 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
             solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
         pairs = _parameters(terms, by_body), solvated
         pair_stiffness = _add_pairs(matrix, (x, first), tree, pairs, share)
-    _add_atoms(matrix, chain, at, tree[2], body, x, pair_stiffness, middle)
+    _add_atoms(matrix, chain, at, tree[2], body, x, pair_stiffness, centre)
     symmetrise(matrix)
     return matrix
 
@@ -243,7 +243,7 @@ def born_radii(
 
 def _add_atoms(
     matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, per_atom: Floats,
-    middle: Floats,
+    centre: Floats,
 ) -> None:  # fmt: skip
     """Add J^T D J of each single atom, and -f . d2x/dq dq."""
     # A turn about axis a after one about b moves by a cross (b cross r).
@@ -263,7 +263,7 @@ def _add_atoms(
             moments[tree.parent[b]] += moments[b]
             sums[tree.parent[b]] += sums[b]
             stiffness[tree.parent[b]] += stiffness[b]
-    origin, axes = at.frames.origin - middle, motions[:, :3]
+    origin, axes = at.frames.origin - centre, motions[:, :3]
     inward: list[NDArray[np.int64]] = []
     for b in range(tree.n_bodies):
         freedoms = np.arange(tree.v_start[b], tree.v_start[b + 1])
@@ -285,22 +285,22 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
     for b in range(tree.n_bodies):
         if tree.parent[b] >= 0:
             depth[b], root[b] = depth[tree.parent[b]] + 1, root[tree.parent[b]]
-    crossed: set[tuple[int, ...]] = set()
+    hinge_sets: set[tuple[int, ...]] = set()
     for terms in energy.terms.bonded.values():
         bodies = np.unique(np.sort(chain.atom_body[terms.atoms], axis=1), axis=0)
         for row in bodies.tolist():
             hinges = {*_hinges_between({*row}, tree.parent, depth, root)}
             if hinges:
-                crossed.add(tuple(sorted(hinges)))
-    freedoms = [[v for b in path for v in range(tree.v_start[b], tree.v_start[b + 1])] for path in crossed]
+                hinge_sets.add(tuple(sorted(hinges)))
+    freedoms = [[v for b in path for v in range(tree.v_start[b], tree.v_start[b + 1])] for path in hinge_sets]
     row = np.repeat(np.arange(len(freedoms)), [len(hinge_set) for hinge_set in freedoms])
     column = np.array([v for hinge_set in freedoms for v in hinge_set], dtype=np.int64)
     incidence = csr_array((np.ones(len(row)), (row, column)), shape=(len(freedoms), chain.n_v))
     coupled = (incidence.T @ incidence).tocsr()
-    seen = (coupled @ coupled).tocsr()
+    reachable = (coupled @ coupled).tocsr()
     colour = np.full(chain.n_v, -1)
     for v in range(chain.n_v):
-        used = {*colour[seen.indices[seen.indptr[v] : seen.indptr[v + 1]]].tolist()}
+        used = {*colour[reachable.indices[reachable.indptr[v] : reachable.indptr[v + 1]]].tolist()}
         colour[v] = next(k for k in range(chain.n_v + 1) if k not in used)
     return coupled, colour
 

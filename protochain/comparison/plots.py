@@ -158,8 +158,8 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(frameon=False, ncols=3)
     plain(panel)
-    stated = "displacement from the start, superposed on all C-alphas"
-    return _set_title(axes, ax, f"{_plain_text(title)}: {stated}")
+    text = "displacement from the start, superposed on all C-alphas"
+    return _set_title(axes, ax, f"{_plain_text(title)}: {text}")
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
@@ -167,23 +167,23 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     _, axes = panels(ax, (2, 1), (8, 5), least=1)
     top, bottom = axes[0], axes[-1]
     styles = _styles(changes)
-    for name, of in changes.items():
-        place = np.arange(1, len(of) + 1)
+    for name, table in changes.items():
+        place = np.arange(1, len(table) + 1)
         if len(changes) == 1:
-            for names, colour, stated in ((("phi", "psi"), 0, "phi, psi"), (_CHIS, 1, "side chain")):
-                largest = of[list(names)].abs().max(axis=1)
-                top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{stated}, largest")
+            for names, colour, label in ((("phi", "psi"), 0, "phi, psi"), (_CHIS, 1, "side chain")):
+                largest = table[list(names)].abs().max(axis=1)
+                top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{label}, largest")
         else:
-            top.plot(place, of["torsions_degrees"], **styles[name] | {"linewidth": 1.2})
+            top.plot(place, table["torsions_degrees"], **styles[name] | {"linewidth": 1.2})
         if len(axes) > 1:
-            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"linewidth": 1.2})
+            bottom.plot(place, table["ca_moved_angstrom"], **styles[name] | {"linewidth": 1.2})
     top.set(ylabel="change of torsions, degrees", ylim=(0, None))
     if changes:
         top.legend(frameon=False, ncols=3)
     if len(axes) > 1:
         bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
     bottom.set_xlabel("residue")
-    first = [table[["chain", "residue"]].to_numpy().T for table in changes.values()][:1]
+    first = [change[["chain", "residue"]].to_numpy().T for change in changes.values()][:1]
     places = residue_places(*first[0]) if first else {}
     for panel in axes:
         panel.set_xticks([*places], [*places.values()])

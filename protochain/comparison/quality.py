@@ -54,17 +54,17 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
     if start is None:
         return _alone(structure, chain)
     start = as_structure(start)
-    off = ca_rmsd(structure, structure.positions, start)
+    rmsd = ca_rmsd(structure, structure.positions, start)
     lengths = _bond_lengths(structure) - _bond_lengths(start)
     angles = _bond_angles(structure) - _bond_angles(start)
     score, folds = tm_score(start, structure), [secondary_structure(model) for model in (structure, start)]
-    alone = _alone(structure, chain)
+    measured = _alone(structure, chain)
     return {
-        "radius_of_gyration_angstrom": alone.pop("radius_of_gyration_angstrom"),
-        "ca_rmsd_to_start_angstrom": off,
+        "radius_of_gyration_angstrom": measured.pop("radius_of_gyration_angstrom"),
+        "ca_rmsd_to_start_angstrom": rmsd,
         "tm_score_to_start": score if np.isfinite(score) else None,
         "secondary_structure_kept": float(np.mean(folds[0] == folds[1])),
-        **alone,
+        **measured,
         "bond_length_change_rms_angstrom": ANGSTROM_PER_NM * _root_mean_square(lengths),
         "bond_angle_change_rms_degrees": float(np.degrees(_root_mean_square(angles))),
     }

@@ -67,16 +67,16 @@ def named_residues(
         f"Resolved {kind}": [(r, "") for r in sorted(before[kind] - residues)]
         for kind, residues in after.items()
     }
-    place = {where: r for r, where in enumerate(residue_keys(s).tolist())}
+    place = {indices: r for r, indices in enumerate(residue_keys(s).tolist())}
     for difference in changes.values():
         table = difference.residues
-        where = [place.get(f"{chain.strip()}:{number}", -1)
+        indices = [place.get(f"{chain.strip()}:{number}", -1)
                  for chain, number in zip(table["chain"], table["residue"], strict=True)]  # fmt: skip
         for label, column, least, unit in (
             ("Moved most", "ca_moved_angstrom", _MOVED, " angstrom"),
             ("Turned most", "torsions_degrees", _TURNED, " degrees"),
         ):
-            largest = table.assign(where=where)[table[column] >= least].nlargest(_NAMED, column)
+            largest = table.assign(where=indices)[table[column] >= least].nlargest(_NAMED, column)
             groups[label] = [
                 (r, f", {value:.2g}{unit}" if value < 10 else f", {value:.0f}{unit}")
                 for r, value in zip(largest["where"], largest[column], strict=True) if r >= 0

@@ -82,13 +82,13 @@ def averages(log: pd.DataFrame) -> pd.DataFrame:
 
 def _log(log: pd.DataFrame) -> Figure:
     """Plot quantities of the log against time, quantities of one unit in one panel."""
-    drawn = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
-    drawn = [(label, names) for label, names in drawn if names]
-    figure, axes = panels(None, (len(drawn), 1), (8, 2.1 * len(drawn)), sharex=True)
-    for ax, (label, names) in zip(axes, drawn, strict=True):
+    rows = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
+    rows = [(label, names) for label, names in rows if names]
+    figure, axes = panels(None, (len(rows), 1), (8, 2.1 * len(rows)), sharex=True)
+    for ax, (label, names) in zip(axes, rows, strict=True):
         columns = {heading(name).split(",")[0]: name for name in names}
-        for look, (stated, name) in zip(looks(columns).values(), columns.items(), strict=True):
-            ax.plot(log["time_ps"], log[name], **look.line(stated) | {"marker": "", "linewidth": 1.2})
+        for look, (legend, name) in zip(looks(columns).values(), columns.items(), strict=True):
+            ax.plot(log["time_ps"], log[name], **look.line(legend) | {"marker": "", "linewidth": 1.2})
         ax.set_ylabel(label.replace(", ", ",\n") if len(label) > 20 else label)
         if len(names) > 1:
             ax.legend(frameon=False, fontsize=8)
@@ -105,10 +105,10 @@ def rmsf(structure: Structure, frames: Iterable[Structure]) -> Floats:
 
 def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
     figure, (ax,) = panels(None, 1, (8, 2.6))
-    values, of = rmsf(structure, frames), structure.atom_residue[structure.alpha_carbons]
+    values, residues = rmsf(structure, frames), structure.atom_residue[structure.alpha_carbons]
     ax.plot(np.arange(1, len(values) + 1), values, color=COLOURS[0], marker="o", markersize=3)
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
-    places = residue_places(structure.residue_chain[of], number[of])
+    places = residue_places(structure.residue_chain[residues], number[residues])
     ax.set_xticks([*places], [*places.values()])
     ax.set(xlabel="residue", ylabel="RMSF of C-alpha, angstrom", ylim=(0.0, None))
     plain(ax)

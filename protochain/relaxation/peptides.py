@@ -49,25 +49,25 @@ class PeptideBonds:
         nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
         return PeptideBonds(atoms, (bonds.cis | nearer) & (distance < _NEAR))
 
-    def away(self, x: Floats) -> Floats:
+    def deviations(self, x: Floats) -> Floats:
         """Angles (n,) from the target forms, degrees, at positions x (na, 3), nm."""
-        return self._away(dihedrals(x, self.atoms))
+        return self._deviations(dihedrals(x, self.atoms))
 
-    def _away(self, angles: Floats) -> Floats:
+    def _deviations(self, angles: Floats) -> Floats:
         return np.where(self.cis, np.abs(angles), 180.0 - np.abs(angles))
 
     def twisted_bonds(self, x: Floats) -> Integers:
         """(n,) int: nitrogens of bonds that are twisted, or have the other form."""
-        return self.atoms[self.away(x) > PLANAR, 2]
+        return self.atoms[self.deviations(x) > PLANAR, 2]
 
     def reversed_bonds(self, x: Floats) -> Integers:
         """(n,) int: nitrogens of twisted bonds that are nearer to the other form, beyond a barrier."""
-        return self.atoms[self.away(x) > PERPENDICULAR, 2]
+        return self.atoms[self.deviations(x) > PERPENDICULAR, 2]
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
         forces, angles = np.zeros_like(x), dihedrals(x, self.atoms)
-        beyond = np.radians(self._away(angles) - _USUAL)
+        beyond = np.radians(self._deviations(angles) - _USUAL)
         far = beyond > 0.0
         if not far.any():
             return 0.0, forces

@@ -133,7 +133,7 @@ def relax_structure(
     seconds = perf_counter() - trace.began
     end = best_round(ends)
     frame = Frame(structure, held_by)
-    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any() or user_restraints
+    restraint, has_restraint = relaxer.restraint(end.springs), end.springs.weight.any() or user_restraints
     value, forces = judged.judge_at(end.x)
     space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
     force = space.residual(space.torque(space.place(space.start(end.x)), total))
@@ -156,7 +156,7 @@ def relax_structure(
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
-        restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if is_held else None,
+        restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if has_restraint else None,
         restraint_values=restraint_values,
         timings=until_now(),
         move=move,
@@ -232,8 +232,8 @@ def _verdict(
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
     problems = end.problems
     broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
-    where = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
-    measured += where if broken else ""
+    breaks = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
+    measured += breaks if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_newly_inverted(problems), isomerised=_bonds_before(problems, _newly_reversed(problems)),

@@ -49,12 +49,12 @@ def repack_side_chains(
     x, repairs = structure.positions, tuple[Repair, ...]()
     terms = None
     for _ in range(_ROUNDS):
-        turning = rotamers_of(structure, structure.positions, chosen.tolist(), moving)
-        if not turning:
+        rotamers = rotamers_of(structure, structure.positions, chosen.tolist(), moving)
+        if not rotamers:
             return structure
         terms = terms or _terms(structure, energy)
-        x, repairs = _assign_rotamers(structure, terms, turning)
-        extended = np.union1d(chosen, _in_the_way(structure, x, chosen))
+        x, repairs = _assign_rotamers(structure, terms, rotamers)
+        extended = np.union1d(chosen, _crowding_residues(structure, x, chosen))
         if residues is not None or len(extended) == len(chosen):
             break
         chosen = extended
@@ -77,10 +77,10 @@ def conflicting_residues(structure: Structure) -> Integers:
 
 def _check_residues(structure: Structure, residues: Iterable[int]) -> Integers:
     chosen = np.unique(np.array([int(residue) for residue in residues], dtype=np.int64))
-    strange = chosen[(chosen < 0) | (chosen >= structure.n_residues)]
-    if len(strange):
+    invalid = chosen[(chosen < 0) | (chosen >= structure.n_residues)]
+    if len(invalid):
         raise StructureError(
-            f"{structure.name}: there is no residue of index {strange[0]}; "
+            f"{structure.name}: there is no residue of index {invalid[0]}; "
             f"give indices from 0 to {structure.n_residues - 1}"
         )
     return chosen
@@ -93,16 +93,16 @@ def _terms(structure: Structure, energy: Energy | None) -> Terms:
 
 
 def _assign_rotamers(
-    structure: Structure, terms: Terms, turning: list[Rotamers]
+    structure: Structure, terms: Terms, rotamers: list[Rotamers]
 ) -> tuple[Floats, tuple[Repair, ...]]:
     """Positions with the best rotamers, and repairs of the turned side chains."""
     x = np.array(structure.positions)
-    interactions = Interactions(terms, structure.positions, turning)
+    interactions = Interactions(terms, structure.positions, rotamers)
     assignment = assign_states(
-        [interactions.self_energies(i) for i in range(len(turning))], interactions.pairs()
+        [interactions.self_energies(i) for i in range(len(rotamers))], interactions.pairs()
     )
     repairs = []
-    for side_chain, state in zip(turning, assignment.states.tolist(), strict=True):
+    for side_chain, state in zip(rotamers, assignment.states.tolist(), strict=True):
         if state:
             x[side_chain.atoms] = side_chain.x[state]
             repairs.append(side_chain.repair(state, structure.residue(side_chain.residue)))
@@ -111,7 +111,7 @@ def _assign_rotamers(
     return x, tuple(repairs)
 
 
-def _in_the_way(structure: Structure, x: Floats, chosen: Integers) -> Integers:
+def _crowding_residues(structure: Structure, x: Floats, chosen: Integers) -> Integers:
     """Residues with atoms too close to atoms of the chosen residues."""
     pairs = structure.atom_residue[near_pairs(structure, x, _NEAR)[0]]
     return np.unique(pairs[np.isin(pairs, chosen).any(axis=1)])

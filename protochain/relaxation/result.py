@@ -114,8 +114,8 @@ class Relaxation(RunEnds):
     @cached_property
     def structure(self) -> Structure:
         """Structure at the end, with all hydrogens. Its repairs list the turned groups."""
-        noted = (*self.start.repairs, *self.turned, *self.stereocentres_corrected, *self.peptides_turned)
-        return replace(self.start, positions=self.x, repairs=noted)
+        repairs = (*self.start.repairs, *self.turned, *self.stereocentres_corrected, *self.peptides_turned)
+        return replace(self.start, positions=self.x, repairs=repairs)
 
     @cached_property
     def problems_start(self) -> Problems:
@@ -221,13 +221,13 @@ class Relaxation(RunEnds):
         """Provenance of the structure, as remarks for its file."""
         settings = self.settings
         kind = "PROTOCOL" if settings.protocol else "PRESET"
-        how = [f"{kind} {settings.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
+        lines = [f"{kind} {settings.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
         if self.move != defaults.MOVE:
             fixed = f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED"
-            how.append(f"{fixed}: {self.move}")
+            lines.append(f"{fixed}: {self.move}")
         return remarks(
             self, METHOD.upper(), (self.energy_start, self.energy_end), self.judge,
-            (self.ca_rmsd_angstrom, self.frame.ca_rmsds(self.x)[1]), how,
+            (self.ca_rmsd_angstrom, self.frame.ca_rmsds(self.x)[1]), lines,
         )  # fmt: skip
 
     def record(self) -> dict[str, Any]:

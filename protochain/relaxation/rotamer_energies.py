@@ -106,8 +106,8 @@ class Interactions:
         at[:, turns] = arm.x[:, [rows[atom] for atom in involved[turns].tolist()]]
         place = place.reshape(atoms.shape)
         phi = dihedral(*(at[:, place[:, k]] for k in range(4)))
-        times, phase, height = parameters.T
-        return np.asarray((_TWIST * height * (1.0 + np.cos(times * phi - phase))).sum(axis=1))
+        multiplicity, phase, height = parameters.T
+        return np.asarray((_TWIST * height * (1.0 + np.cos(multiplicity * phi - phase))).sum(axis=1))
 
 
 def _exceptions_by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
@@ -120,7 +120,7 @@ def _exceptions_by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[fl
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _felt(r2: float, a12: float, b6: float, charges: float, linear: float) -> float:
+def _pair_energy(r2: float, a12: float, b6: float, charges: float, linear: float) -> float:
     """Energy of two atoms at a squared distance below the squared cutoff."""
     energy = charges / _DIELECTRIC * (1.0 / max(r2, _CLOSEST**2) - 1.0 / _CUTOFF**2)
     if a12 > 0.0:
@@ -147,7 +147,7 @@ def _table(x: Floats, x_other: Floats, a12: Floats, b6: Floats, charges: Floats,
                     d0, d1, d2 = x0 - x_other[s, m, 0], x1 - x_other[s, m, 1], x2 - x_other[s, m, 2]
                     r2 = d0 * d0 + d1 * d1 + d2 * d2
                     if r2 < _CUTOFF**2:
-                        energy += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
+                        energy += _pair_energy(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
             energies[r, s] = energy
     return energies
 
@@ -162,5 +162,5 @@ def _inside(x: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats)
                 d0, d1, d2 = x[r, k, 0] - x[r, m, 0], x[r, k, 1] - x[r, m, 1], x[r, k, 2] - x[r, m, 2]
                 r2 = d0 * d0 + d1 * d1 + d2 * d2
                 if r2 < _CUTOFF**2:
-                    energies[r] += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
+                    energies[r] += _pair_energy(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
     return energies

@@ -142,25 +142,25 @@ class Relaxer:
         self, x: Floats, share: Floats, strengths: Sequence[tuple[float, float]], before: int, threaded: bool
     ) -> RoundEnd:
         """Unthread rings if necessary, run the stages, and find the remaining problems."""
-        began, structure, freed = perf_counter(), self.structure, 0
+        began, structure, n_unthreading = perf_counter(), self.structure, 0
         springs = [self._springs(share, *strength) for strength in strengths]
         plan = [*(self._first_stages(springs[0]) if not before else []), *self._correction_stages(springs[0])]
         plan += [stage for tethers in springs for stage in self._force_field_stages(tethers)]
-        if threaded and (freeing := unthreading_stages(self._space, self.energy)):
-            free = self._walk_stages(freeing, x, before)
-            x, freed = free.x, free.n_evaluations
-            if free.stop is Stop.INTERRUPTED:
+        if threaded and (unthread_stages := unthreading_stages(self._space, self.energy)):
+            freed = self._walk_stages(unthread_stages, x, before)
+            x, n_unthreading = freed.x, freed.n_evaluations
+            if freed.stop is Stop.INTERRUPTED:
                 plan = []
         if plan:
-            outcome = self._walk_stages(plan, x, before + freed)
+            outcome = self._walk_stages(plan, x, before + n_unthreading)
         else:
-            outcome = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
+            outcome = replace(freed, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
         problems = Problems(structure, read_only(outcome.x))
         concerned = problems.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         entry = Round(
             int((share < 1.0).sum()), len(problems.violations.residues), len(problems.overlaps),
-            outcome.n_iterations, freed + outcome.n_evaluations, perf_counter() - began,
+            outcome.n_iterations, n_unthreading + outcome.n_evaluations, perf_counter() - began,
         )  # fmt: skip
         return RoundEnd(problems, outcome.stop, _tethers(outcome.restraint), np.flatnonzero(concerned), entry)
 
@@ -187,8 +187,8 @@ class Relaxer:
         stages, bonded = [], bonded_part(self.energy) if self.strength.softened else None
         for share, stiffness in self.strength.softened:
             if bonded is not None:
-                parting = SoftRepulsion(self.structure, share=share, stiffness=stiffness)
-                soft = self._preparatory_stage(Sum([bonded, parting]), springs, is_soft=True)
+                repulsion = SoftRepulsion(self.structure, share=share, stiffness=stiffness)
+                soft = self._preparatory_stage(Sum([bonded, repulsion]), springs, is_soft=True)
                 stages.append(
                     replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0)
                 )

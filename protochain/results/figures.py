@@ -68,9 +68,9 @@ def write_figure(path: Path, draw: Callable[[], PlainFigure]) -> None:
     import matplotlib.style
 
     kind = path.suffix.lower().removeprefix(".")
-    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with (
         as_file(files("protochain.results") / "static" / "paper.mplstyle") as style,
         matplotlib.style.context(str(style)),
     ):
-        write_atomically(path, partial(draw().savefig, format=kind, metadata=dated))
+        write_atomically(path, partial(draw().savefig, format=kind, metadata=metadata))

@@ -40,8 +40,8 @@ def scene(
     """Variables of the viewer's template, with all structures superposed on the first."""
     (first_name, first), *other_structures = shown.items()
     ends = {name: superpose(model, first) for name, model in other_structures}
-    moved = {name: model.positions - first.positions for name, model in ends.items()}
-    away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
+    shifts = {name: model.positions - first.positions for name, model in ends.items()}
+    away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in shifts.items()}
     suffix = common_suffix(shown.values())
     # Displacements of atoms are written to the column of B factors, which the viewer reads.
     texts = {first_name: first} | {name: replace(model, b_factor=away[name]) for name, model in ends.items()}
@@ -53,14 +53,14 @@ def scene(
         }
         for name, model in texts.items()
     ]
-    stated = [_of_atoms(first, away)] if ends else []
-    stated += [_of_residues(model, tuple(shown)) for model in colourings]
+    scales = [_of_atoms(first, away)] if ends else []
+    scales += [_of_residues(model, tuple(shown)) for model in colourings]
     return {
         "models": models,
         "library": library(),
         "colours": (START, *(look.colour for look in looks(ends).values())),
-        "colourings": stated,
-        "chosen": next((k for k, model in enumerate(stated) if model["name"] == chosen), -1),
+        "colourings": scales,
+        "chosen": next((k for k, model in enumerate(scales) if model["name"] == chosen), -1),
         "residues": _residues(first, suffix),
     }
 
@@ -88,8 +88,8 @@ _MOST = 0.98
 """Share of values within the colour scale, so that a few large values do not make all others grey."""
 
 
-def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any]:
-    heavy = np.concatenate([distances[structure.atom_element != "H"] for distances in away.values()])
+def _of_atoms(structure: Structure, by_end: Mapping[str, Floats]) -> dict[str, Any]:
+    heavy = np.concatenate([distances[structure.atom_element != "H"] for distances in by_end.values()])
     high = float(np.clip(np.quantile(heavy, _MOST), 0.1, _FULL_RED))
     return {"name": DISPLACEMENT, "low": 0.0, "high": high, "is_signed": False, "values": None}
 

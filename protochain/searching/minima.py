@@ -71,12 +71,12 @@ class Symmetry(Value):
     def _differences(self, q: Floats, q_other: Floats) -> Floats:
         """Smallest differences (..., n), rad, over the symmetric images of each group."""
         turn = q - q_other
-        away = np.abs(turn - self.period * np.rint(turn / self.period))
+        differences = np.abs(turn - self.period * np.rint(turn / self.period))
         for pair in self.paired:
-            image = np.pi - away[..., pair]
-            nearer = image.sum(axis=-1) < away[..., pair].sum(axis=-1)
-            away[..., pair] = np.where(nearer[..., None], image, away[..., pair])
-        return away
+            image = np.pi - differences[..., pair]
+            nearer = image.sum(axis=-1) < differences[..., pair].sum(axis=-1)
+            differences[..., pair] = np.where(nearer[..., None], image, differences[..., pair])
+        return differences
 
 
 def _atoms_of(chain: Chain, hinge: Hinge) -> dict[str, int]:

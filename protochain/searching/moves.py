@@ -60,7 +60,7 @@ class Moves(Value):
         structure = chain.structure
         names = [str(name) for name in structure.residue_name]
         by_residue: dict[int, dict[str, int]] = {}
-        other_hinges, last_ones = [], set()
+        other_hinges, c_termini = [], set()
         for hinge, coordinate in zip(
             chain.hinges, chain.tree.q_start[chain.hinge_body].tolist(), strict=True
         ):
@@ -68,7 +68,7 @@ class Moves(Value):
                 r = int(structure.atom_residue[hinge.atoms[1]])  # Of both atoms of its bond.
                 by_residue.setdefault(r, {})[hinge.kind] = coordinate
                 if hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O":
-                    last_ones.add(r)
+                    c_termini.add(r)
             else:
                 other_hinges.append(coordinate)
         residues = []
@@ -79,7 +79,7 @@ class Moves(Value):
             after = names[r + 1] if r + 1 < len(names) else ""
             mirror = -1.0 if structure.mirrored[r] else 1.0
             phi_psi = coordinates.get("phi", NONE), coordinates.get("psi", NONE)
-            ends = r == 0, r in last_ones
+            ends = r == 0, r in c_termini
             residues.append(Residue(names[r], _class(names[r], after), mirror, *phi_psi, tuple(chi), *ends))
         flips = tuple(
             (coordinates["psi"], by_residue[r + 1]["phi"])
@@ -128,16 +128,16 @@ def cross_over(moves: Moves, q: Floats, q_other: Floats, random: np.random.Gener
     # to five random hinges.
     kind = random.choice(list(CROSSINGS), p=list(CROSSINGS.values()))
     if kind == "part":
-        where = _one(moves.parts, random)
+        chosen = _draw_one(moves.parts, random)
     elif kind == "few":
-        where = random.choice(len(q), min(int(random.integers(1, _FEW + 1)), len(q)), replace=False).tolist()
+        chosen = random.choice(len(q), min(int(random.integers(1, _FEW + 1)), len(q)), replace=False).tolist()
     else:
         length = int(random.integers(1, max(2, len(moves.residues) // 2 + 1)))
         first = int(random.integers(len(moves.residues) - length + 1))
         stretch = moves.residues[first : first + length]
-        where = [k for residue in stretch for k in (*residue.backbone, *residue.chi)]
+        chosen = [k for residue in stretch for k in (*residue.backbone, *residue.chi)]
     q = q.copy()
-    q[where] = q_other[where]
+    q[chosen] = q_other[chosen]
     return q
 
 
@@ -145,17 +145,17 @@ def apply_move(moves: Moves, kind: str, q: Floats, size: float, random: np.rando
     """Torsions (n,) after a move of this kind at a random residue or hinge: q (n,) rad, size rad."""
     q = q.copy()
     if kind == "backbone":
-        _turn_backbone(q, _one(moves.with_backbone, random), random)
+        _turn_backbone(q, _draw_one(moves.with_backbone, random), random)
     elif kind == "rotamer":
-        residue = _one(moves.with_chi, random)
+        residue = _draw_one(moves.with_chi, random)
         q[list(residue.chi)] = side_chain(residue, q, random)
     elif kind == "crankshaft":
-        psi, phi = _one(moves.flips, random)
+        psi, phi = _draw_one(moves.flips, random)
         turn = random.normal(scale=size)
         q[psi] += turn
         q[phi] -= turn
     else:
-        q[_one(moves.other_hinges, random)] += random.normal(scale=size)
+        q[_draw_one(moves.other_hinges, random)] += random.normal(scale=size)
     return q
 
 
@@ -222,5 +222,5 @@ def _class(name: str, after: str) -> int:
     return CLASSES.index(kind)
 
 
-def _one(sequence: Sequence[T], random: np.random.Generator) -> T:
+def _draw_one(sequence: Sequence[T], random: np.random.Generator) -> T:
     return sequence[int(random.integers(len(sequence)))]

@@ -116,8 +116,8 @@ class Search(Value):
     def n_walks_at_lowest(self) -> int:
         """Number of walks that reached the lowest minimum. If only one did, it may not be the lowest."""
         walker, rows = self._descents
-        alike = self.landscape.symmetry.farthest(rows[:, 2:], self.q[0]) <= SAME_TORSION
-        return len(np.unique(walker[alike & (rows[:, 1] <= self.energy + SAME_ENERGY)]))
+        is_lowest = self.landscape.symmetry.farthest(rows[:, 2:], self.q[0]) <= SAME_TORSION
+        return len(np.unique(walker[is_lowest & (rows[:, 1] <= self.energy + SAME_ENERGY)]))
 
     @property
     def agreement(self) -> str:
@@ -154,9 +154,9 @@ class Search(Value):
         alpha = self.chain.structure.alpha_carbons
         at = [pose(self.chain, torsions).x[alpha] for torsions in q]
         phi, psi = conformers.backbone(self.chain, q)
-        free = np.full((len(rows), 2), np.nan)
+        free_energies = np.full((len(rows), 2), np.nan)
         for k, torsions in enumerate(q[:N_FREE_ENERGIES]):
-            free[k] = self._free(torsions, float(energy[k]))
+            free_energies[k] = self._free(torsions, float(energy[k]))
         return pd.DataFrame(
             {
                 "minimum": np.arange(1, len(rows) + 1),
@@ -166,8 +166,8 @@ class Search(Value):
                 "cluster": clusters(at),
                 "conformer": conformers.names(phi, psi),
                 "helix_share": conformers.helix(phi, psi),
-                "free_energy_kj_mol": free[:, 0] - free[0, 0],
-                "free_energy_rigid_kj_mol": free[:, 1] - free[0, 1],
+                "free_energy_kj_mol": free_energies[:, 0] - free_energies[0, 0],
+                "free_energy_rigid_kj_mol": free_energies[:, 1] - free_energies[0, 1],
                 "walker": walker[rows],
                 "evaluations_of_walker": descents[rows, 0].astype(np.int64),
             }
@@ -179,9 +179,9 @@ class Search(Value):
             return np.nan, np.nan
         chain, temperature = self.chain, self.settings.temperatures[0]
         free = build_chain(chain, root="free")
-        second = hessian(chain, self.energy_function, q)
+        matrix = hessian(chain, self.energy_function, q)
         mass = log_det_mass(free, pose(free, transfer_coordinates(chain, free, q)))
-        return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)
+        return free_energy(energy, matrix, temperature), free_energy(energy, matrix, temperature, mass)
 
     @cached_property
     def _sampling(self) -> list[tuple[Any, Floats]]:
@@ -212,15 +212,15 @@ class Search(Value):
         odds, rounds = sum(state.odds for state in states), sum(state.n_counted for state in states)
         for k, temperature in enumerate(self.temperatures):
             energy = mean_and_error([walk[:, k, 0] for walk in self._samples])
-            folded = mean_and_error(
+            helix_share = mean_and_error(
                 [conformers.helix(*conformers.backbone(self.chain, walk[:, k, 1:])) for walk in self._samples]
             )
             row = {
                 "temperature_k": float(temperature),
                 "energy_kj_mol": float(energy[0]),
                 "energy_error_kj_mol": float(energy[1]),
-                "helix_share": float(folded[0]),
-                "helix_share_error": float(folded[1]),
+                "helix_share": float(helix_share[0]),
+                "helix_share_error": float(helix_share[1]),
                 "exchanges": np.nan,
                 "slope": np.nan,
                 "slope_error": np.nan,
@@ -239,8 +239,8 @@ class Search(Value):
         if not self._samples:
             return pd.DataFrame(columns=["temperature_k", "conformer", "share", "share_error"])
         names = [conformers.names(*conformers.backbone(self.chain, walk[:, :, 1:])) for walk in self._samples]
-        counted, counts = np.unique(np.concatenate([walk.ravel() for walk in names]), return_counts=True)
-        frequent = counted[np.argsort(-counts, kind="stable")][:N_NAMED]
+        unique_names, counts = np.unique(np.concatenate([walk.ravel() for walk in names]), return_counts=True)
+        frequent = unique_names[np.argsort(-counts, kind="stable")][:N_NAMED]
         rows = []
         for k, temperature in enumerate(self.temperatures):
             for name in frequent:
@@ -256,8 +256,8 @@ class Search(Value):
         parts = [part for pair in pairs for part in blocks_of(pair)]
         # Jackknife over blocks.
         n = len(parts)
-        without = [slope(*np.concatenate(parts[:i] + parts[i + 1 :]).T) for i in range(n)]
-        error = np.sqrt((n - 1) * np.var(without)) if n > 1 else np.nan
+        resampled = [slope(*np.concatenate(parts[:i] + parts[i + 1 :]).T) for i in range(n)]
+        error = np.sqrt((n - 1) * np.var(resampled)) if n > 1 else np.nan
         return slope(*np.concatenate(pairs).T) / canonical, float(error) / canonical
 
     def record(self) -> dict[str, Any]:

@@ -171,10 +171,10 @@ def method_of(settings: SearchSettings, walker: int) -> Method:
 def check_folder(folder: Path, resume: bool, force: bool) -> None:
     """Check the output folder before any work is done."""
     check_writable(folder / "summary.json")
-    is_there = next(_pieces(folder), None) is not None
-    if is_there and not (resume or force):
+    has_pieces = next(_pieces(folder), None) is not None
+    if has_pieces and not (resume or force):
         raise refuse_earlier(folder, "a search")
-    if resume and not is_there:
+    if resume and not has_pieces:
         raise ProtochainError(f"{folder}: holds no search to resume; leave out ", Argument("resume", True))
 
 
@@ -229,7 +229,7 @@ class _Walks:
     def _path(folder: Path, walker: int, number: int) -> Path:
         return folder / "pieces" / f"walker-{walker}" / f"{number:06d}.npz"
 
-    def take(self, walker: int, state: Any, finding: Finding) -> None:
+    def add_piece(self, walker: int, state: Any, finding: Finding) -> None:
         """Store a piece. Files on the disk are always complete."""
         if state is None or state is self.states[walker]:
             return
@@ -262,30 +262,30 @@ class _Walks:
 
 def _work(
     walks: _Walks,
-    running: SearchRunSettings,
+    run_settings: SearchRunSettings,
     processes: Processes | None,
     watch: Callable[[SearchProgress], None] | None,
 ) -> bool:
     """Run pieces until evaluations or time are spent. Return whether there was an interrupt."""
-    began, seconds = perf_counter(), 3600.0 * running.hours if running.hours else float("inf")
-    share = running.budget / len(walks.states)
+    began, seconds = perf_counter(), 3600.0 * run_settings.hours if run_settings.hours else float("inf")
+    share = run_settings.budget / len(walks.states)
 
-    def left() -> float:
+    def time_left() -> float:
         return seconds - (perf_counter() - began)
 
-    def take(walker: int, state: Any, finding: Finding) -> None:
-        walks.take(walker, state, finding)
+    def store(walker: int, state: Any, finding: Finding) -> None:
+        walks.add_piece(walker, state, finding)
         if watch and walks.have_begun:
-            watch(walks.progress(running.budget, (perf_counter() - began) / seconds))
+            watch(walks.progress(run_settings.budget, (perf_counter() - began) / seconds))
 
     with held_interrupts() as interrupts:
         if processes is None:
-            while wanting := [k for k in range(len(walks.states)) if walks.wants(k, share)]:
-                for walker in wanting:
-                    if left() <= 0.0 and walks.have_begun:
+            while unfinished := [k for k in range(len(walks.states)) if walks.wants(k, share)]:
+                for walker in unfinished:
+                    if time_left() <= 0.0 and walks.have_begun:
                         return False
-                    span = min(SECONDS, left())
-                    take(
+                    span = min(SECONDS, time_left())
+                    store(
                         walker,
                         *advance(walks.landscape, walks.methods[walker], walks.states[walker], share, span),
                     )
@@ -295,16 +295,16 @@ def _work(
         shared = walks.landscape, walks.methods
         with shared_file(shared, walks.folder) as task, open_workers(processes) as workers:
             pieces = Submitted(workers, processes)
-            return _hand_out(walks, task, pieces, share, left, take, interrupts)
+            return _submit_pieces(walks, task, pieces, share, time_left, store, interrupts)
 
 
-def _hand_out(
+def _submit_pieces(
     walks: _Walks,
     task: Path,
-    running: Submitted,
+    pieces: Submitted,
     share: float,
-    left: Callable[[], float],
-    take: Callable[[int, Any, Finding], None],
+    time_left: Callable[[], float],
+    store: Callable[[int, Any, Finding], None],
     interrupts: Sequence[int],
 ) -> bool:
     """Run the pieces of each walker in turn in processes. Return whether there was an interrupt."""
@@ -312,17 +312,17 @@ def _hand_out(
     failures = [0] * len(walks.states)
     while True:
         for walker in sorted(idle):
-            has_time = left() > 0.0 or not (len(running) or walks.have_begun)
+            has_time = time_left() > 0.0 or not (len(pieces) or walks.have_begun)
             if walks.wants(walker, share) and has_time:
-                running.submit(Piece(task, walker, walks.states[walker], share, min(SECONDS, left())))
+                pieces.submit(Piece(task, walker, walks.states[walker], share, min(SECONDS, time_left())))
                 idle.remove(walker)
-        if not len(running):
+        if not len(pieces):
             return False
         while True:
             if interrupts:
                 return True
             try:
-                piece, future = running.wait_for_next(_POLL)
+                piece, future = pieces.wait_for_next(_POLL)
                 break
             except Empty:
                 continue
@@ -332,7 +332,7 @@ def _hand_out(
         (end,) = rows
         if end.finding is not None:
             failures[walker] = 0
-            take(walker, end.state, end.finding)
+            store(walker, end.state, end.finding)
         elif failures[walker] + 1 >= _ATTEMPTS:
             raise ProtochainError(
                 f"walker {walker}: {end.message}; what was found before is in the folder, ",

@@ -130,9 +130,9 @@ class Replicas:
             return state
         if state.n_done < self.pilot:
             lengths = length_of_acceptance(state.odds / state.n_counted)
-            placed = equally_spaced(state.temperatures, lengths)
-            steps = np.interp(placed, state.temperatures, steps)
-            state = replace(state, temperatures=read_only(placed), time_steps=read_only(steps))
+            temperatures = equally_spaced(state.temperatures, lengths)
+            steps = np.interp(temperatures, state.temperatures, steps)
+            state = replace(state, temperatures=read_only(temperatures), time_steps=read_only(steps))
         r = self.n_replicas
         return replace(
             state, odds=read_only(np.zeros(r - 1)), accepted=0.0, n_counted=0, heading=read_only(np.zeros(r)),

@@ -381,7 +381,7 @@ def test_a_search_outlives_lost_pieces_in_a_row_but_not_the_same_for_ever(lost, 
             return piece, future
 
     def search():
-        return search_chain._hand_out(
+        return search_chain._submit_pieces(
             walks, tmp_path, Pieces(), 1.0, lambda: 9.0, lambda walker, *_: found.append(walker), ()
         )
 
