@@ -1,6 +1,6 @@
 """Kernels of the near terms' curvature: stiffness of pairs, gradients of angles, blocks, and free pairs.
 
-``atom_blocks`` (na, 9) are diagonal blocks of the Hessian, row by row, ``pair_blocks`` (n, 9) those of pairs.
+``atom_blocks`` (na, 9) are diagonal blocks of the Hessian, row by row, ``pair_blocks`` (n, 9) pair blocks.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Stages of a method: each is one run of the loop, in one space, with one energy."""
+"""Stages of a method. Each stage is one run of the loop, in one space, with one energy."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -30,18 +30,18 @@ PATIENCE = 500
 """Evaluations without a new lowest energy after which a run counts as stalled."""
 
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
-"""Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
+"""Endings that single precision may cause, by noise or by numbers above 1e38 if atoms overlap."""
 
 
 def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Final point if the run ended by itself, finite and allowed; otherwise as :func:`lowest`."""
+    """Final point if the run ended by itself, finite and allowed, otherwise as :func:`lowest`."""
     end = ending.last.state.at
     sound = ending.stop is Stop.NO_DESCENT and end.is_finite and problem.allows(end.x)
     return end.q if sound else lowest(problem, ending, q)
 
 
 def lowest(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Final point if it met the tolerance without climbing; otherwise the lowest, or else the start."""
+    """Final point if it met the tolerance without climbing, otherwise the lowest point, or the start."""
     end = ending.last.state.at
     reached = ending.stop is Stop.TOLERANCE and end.energy <= ending.last.start.energy
     if reached and problem.allows(end.x):
@@ -62,19 +62,19 @@ class Stage:
     energy: Force
     tolerance: float
     restraint: Force | None = None
-    # Whether its points belong in the trace: those of an energy other than the force field's do not.
+    # Whether its points belong in the trace. Points with another energy than the force field do not.
     recorded: bool = True
-    patience: int = PATIENCE  # Evaluations without a new lowest energy after which it is given up.
-    answer: Answer = lowest  # Chooses the result, from which the next stage starts.
-    after: tuple[Stop, ...] = ()  # Endings of the stage before after which this one runs; empty for always.
-    name: str = ""  # What it does, for whoever watches.
-    # Whether to run it from where the stage before ended; otherwise it is left out.
+    patience: int = PATIENCE  # Evaluations without a new lowest energy, after which it stops.
+    answer: Answer = lowest  # Selects the result, from which the next stage starts.
+    after: tuple[Stop, ...] = ()  # Endings of the previous stage after which this one runs; empty: all.
+    name: str = ""  # Name for the watcher.
+    # Whether to run it from the end of the previous stage. Otherwise it is skipped.
     ready: "Callable[[Stage, Placement], bool] | None" = None
-    # The stage as it runs from the positions (na, 3) where the one before ended.
+    # Fits the stage to the positions (na, 3) at which the previous one ended.
     fit: "Callable[[Stage, Floats], Stage] | None" = None
-    # Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
+    # Whether it only examines the end of the previous stage. If it finds nothing, the previous ending stays.
     looks: bool = False
-    # Endings with which the walk ends, unless the next stage runs after them.
+    # Endings that end the walk, unless the next stage runs after them.
     ends: tuple[Stop, ...] = (Stop.BUDGET, Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
@@ -88,8 +88,8 @@ def overlap_stage(space: Torsions) -> Stage:
 
 
 def with_reference(stage: Stage) -> list[Stage]:
-    """The stage, and a second one on the exact form of its energy if that is another engine."""
-    # In all atoms on a device OpenMM's minimiser does the first.
+    """The stage, and a second one on the exact form of its energy if this is another engine."""
+    # In all atoms on a device OpenMM's minimiser runs the first stage.
     energy: Any = stage.energy
     if energy.is_exact:
         return [stage]
@@ -100,7 +100,7 @@ def with_reference(stage: Stage) -> list[Stage]:
 
 
 def moving_part(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
-    """Stage in all atoms whose energy leaves out what is constant among those that stay where it begins."""
+    """Stage in all atoms whose energy skips terms that are constant among the fixed atoms."""
     groups = np.where(moving, -1, 0)[:, None]
 
     def fit(stage: Stage, x: Floats) -> Stage:
@@ -112,13 +112,13 @@ def moving_part(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """State of a walk when it stopped."""
+    """State of a stopped walk."""
 
-    stage: int  # Index in the plan; before: iterations of the stages before.
+    stage: int  # Index in the plan; before: iterations of the previous stages.
     before: int
     last: Snapshot
-    at: Floats | None = None  # (na, 3): Positions that the stage was fitted to, if it was.
-    ended: str = ""  # Name of the ending of the stage before, if there was one.
+    at: Floats | None = None  # (na, 3): Positions to which the stage was fitted, if any.
+    ended: str = ""  # Name of the ending of the previous stage, if any.
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +130,12 @@ class Outcome:
     q: Floats  # (n_q,): Coordinates in that space.
     n_iterations: int
     n_evaluations: int
-    restraint: Force | None = None  # Of the last stage run.
-    # Whether no stage was left out; waypoint: for a checkpoint, None if nothing was computed.
+    restraint: Force | None = None  # Of the last stage.
+    # Whether no stage was skipped; waypoint: for a checkpoint, None if nothing was computed.
     complete: bool = True
     waypoint: Waypoint | None = None
     lowest_eigenvalue: float | None = None  # Of the Hessian at q, if a stage found it.
-    eigenvalue_at_most: float | None = None  # What a search that did not end knows of it.
+    eigenvalue_at_most: float | None = None  # Upper bound from an unfinished search.
 
     @property
     def x(self) -> Floats:
@@ -153,7 +153,7 @@ def walk(
     resume: Waypoint | None = None,
     resumable: bool = True,
 ) -> Outcome:
-    """Run one stage after the other, each from the result of the one before: x (na, 3) nm."""
+    """Run the stages in order, each from the result of the previous one: x (na, 3) nm."""
     progress = _Walk(plan[resume.stage if resume else 0].space, plan[0].space.start(x), resume)
     for i, planned in enumerate(plan[progress.first :], progress.first):
         stage = progress.enter(planned)
@@ -170,7 +170,7 @@ def walk(
         try:
             ending = run(problem, stage.method, progress.q, stage.tolerance, stage.patience, note, snapshot)
         except (BudgetSpentError, KeyboardInterrupt) as error:
-            # The stage has evaluated nothing: the result of the one before stands.
+            # The stage has evaluated nothing: the result of the previous one stays.
             progress.stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
         if progress.ends(i, stage, problem, ending, [*plan[i + 1 : i + 2]]):
@@ -179,12 +179,12 @@ def walk(
 
 
 class _Walk:
-    """Where a walk is between two stages, and what it has come to."""
+    """State of a walk between two stages."""
 
     def __init__(self, space: Space, q: Floats, resume: Waypoint | None) -> None:
         self.space, self.q, self.resume = space, q, resume
         self.first, self.n_iterations = (resume.stage, resume.before) if resume else (0, 0)
-        # Of the last stage that did more than look.
+        # Of the last stage that did more than examine an end.
         self.stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
         self.waiting = resume.last if resume else None
         self.home = resume.at if resume else None
@@ -192,7 +192,7 @@ class _Walk:
         self.before: tuple[Problem, Ending] | None = None
 
     def enter(self, stage: Stage) -> Stage | None:
-        """The stage as it runs from here, or from where it was saved; None if it does not."""
+        """The stage fitted to the current positions or to saved ones, or None if it is skipped."""
         if self.waiting is not None:
             stage, self.home = _fit_stage(stage, self.home)
             self.q = self.waiting.start.q
@@ -210,13 +210,13 @@ class _Walk:
         return stage
 
     def first_snapshot(self, stage: Stage, problem: Problem) -> Snapshot | None:
-        """What a stage goes on from: a saved run, or, if it only looks, the last point of the one before."""
+        """First snapshot of a stage: a saved run, or the previous end if it only examines this end."""
         if self.waiting is None and stage.looks and self.before is not None:
             return _reuse_evaluation(problem, *self.before, self.q)
         return self.waiting
 
     def ends(self, i: int, stage: Stage, problem: Problem, ending: Ending, next_stages: list[Stage]) -> bool:
-        """Go to the result of a stage; whether the walk ends there."""
+        """Move to the result of a stage, and return whether the walk ends there."""
         ended = self.stop.name if i else ""
         self.waypoint = Waypoint(i, self.n_iterations, ending.last, self.home, ended)
         self.waiting, self.n_evaluations = None, problem.n_evaluations
@@ -228,7 +228,7 @@ class _Walk:
         return self.stop in stage.ends and not any(self.stop in s.after for s in next_stages)
 
     def outcome(self, last: Stage, remaining: Sequence[Stage]) -> Outcome:
-        """Result, after the last stage of the plan that was looked at."""
+        """Result after the last visited stage of the plan."""
         return Outcome(
             Stop.STRAINED if self.left_out else self.stop, self.space, self.q, self.n_iterations,
             self.n_evaluations, last.restraint, not self.left_out and all(s.after for s in remaining),
@@ -237,13 +237,13 @@ class _Walk:
 
 
 def _eigenvalues(before: tuple[Problem, Ending] | None) -> tuple[float | None, float | None]:
-    """Lowest eigenvalue, and its upper limit, that the last stage found."""
+    """Lowest eigenvalue, and its upper limit, from the last stage."""
     state = before and before[1].last.state
     return getattr(state, "lowest_eigenvalue", None), getattr(state, "eigenvalue_at_most", None)
 
 
 def _reuse_evaluation(problem: Problem, before: Problem, ending: Ending, q: Floats) -> Snapshot | None:
-    """Snapshot at q if the stage before, with the same energy, evaluated it; None if it did not."""
+    """Snapshot at q if the previous stage, with the same energy, evaluated it, otherwise None."""
     points = (at for at in (ending.last.state.at, before.best) if at is not None and at.q is q)
     at = next(points, None) if problem.energy is before.energy else None
     if at is None:
@@ -252,5 +252,5 @@ def _reuse_evaluation(problem: Problem, before: Problem, ending: Ending, q: Floa
 
 
 def _fit_stage(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:
-    """Stage as it runs from positions, and these, for its waypoint; as it is, if it needs no fit."""
+    """Stage fitted to positions, and these for its waypoint. A stage without fit is returned unchanged."""
     return (stage, None) if stage.fit is None or x is None else (stage.fit(stage, x), x)

@@ -1,4 +1,4 @@
-"""Common start of runs: one chain, one energy, judged and warmed up once for any number of methods."""
+"""Common start of runs: one chain and one energy, judged and warmed up once for all methods."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +22,7 @@ from protochain.minimisers.verdict import Judgement, judge
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A chain and its energy, with all that follows from them for any method."""
+    """A chain and its energy, with data derived from them for any method."""
 
     chain: Chain
     energy: Energy  # With all terms.
@@ -33,12 +33,12 @@ class Start:
 
     @cached_property
     def pose(self) -> Pose:
-        """Pose of the chain at its start, with no digit of the positions rounded anew."""
+        """Pose of the chain at its start, with exactly the positions of the structure."""
         return replace(pose(self.chain, self.chain.q0), x=self.chain.structure.positions)
 
     @cached_property
     def cached_energy(self) -> CachedEnergy:
-        """The energy, as runs ask it and their judge does."""
+        """The energy of runs, with their judge and a cache."""
         return CachedEnergy(self.energy, self.judge)
 
     @cached_property
@@ -57,7 +57,7 @@ class Start:
         return judge(self.chain, self.pose, self.start_values)
 
     def of(self, recipe: Recipe, judge: str = defaults.JUDGE) -> "Start":
-        """Start of a method and a judge: of one that moves masses, a root that ``auto`` has fixed is free."""
+        """Start for a method and a judge. Methods that move masses free a root that ``auto`` has fixed."""
         start = self if judge == self.judge else replace(self, judge=judge)
         moves = recipe.moves_masses and self.chain.root == "auto"
         return start._with_free_root if moves else start
@@ -81,9 +81,9 @@ class Start:
 
     def warm(self, recipe: Recipe) -> None:
         """Compile kernels and create contexts before the clock starts."""
-        # The order of sums depends on the neighbour lists: build those of the start.
+        # The order of sums depends on the neighbour lists: build them at the start.
         self.energy.list_at(self.pose.x)
-        # Elsewhere the run evaluates its start itself.
+        # Otherwise the run evaluates its start itself.
         if recipe.in_torsions or self.cached_energy.judging is not self.energy:
             _ = self.judgement
         if recipe.in_torsions:
@@ -100,7 +100,7 @@ class Start:
         at = evaluate(torsions, self.reduced_energy, torsions.move(self.chain.q0, np.zeros(self.chain.n_v)))
         torsions.stiffness(at)(at.torque)
         torsions.inertia(at)(at.torque)
-        # The second evaluation checks whether the neighbour lists still hold.
+        # The second evaluation checks whether the neighbour lists are still valid.
         self.reduced_energy(self.pose.x)
         return at
 

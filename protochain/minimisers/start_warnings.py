@@ -1,4 +1,4 @@
-"""What is wrong with a start and what will be done about it, said before a run; how far a run went."""
+"""Reports of errors in a start and their treatment, before a run, and of the distance moved by a run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from protochain.validation.rings import threaded_rings
 from protochain.validation.violations import violations
 
 FAR = 2.0
-"""angstrom. C-alpha RMSD from the start at which the fold is no longer that of the input."""
+"""angstrom. C-alpha RMSD from the start at which the fold differs from the input."""
 
 _SHOWN_RINGS = 3
 
 
 def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
-    """Say what is wrong with a start, and what a method does about it first."""
+    """Describe errors in a start, and their treatment by a method."""
     crowd = len(overlaps(structure, structure.positions))
     threaded, violation_counts = threaded_rings(structure), violations(structure)
     faults = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
@@ -47,27 +47,27 @@ def _way(recipe: Recipe, threaded: bool) -> str:
 
 
 def is_crowded(structure: Structure) -> bool:
-    """Whether atoms of a structure overlap, or a bond goes through a ring."""
+    """Whether atoms of a structure overlap, or a bond passes through a ring."""
     return bool(overlaps(structure, structure.positions) or threaded_rings(structure))
 
 
 @dataclass
 class StrayWatcher:
-    """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far."""
+    """Watcher of a run from a start with overlaps, which reports once if the run has gone far."""
 
     structure: Structure  # The start.
-    report: Callable[[str], None]  # Given the line.
-    is_reported: bool = False  # Whether it has said so.
+    report: Callable[[str], None]  # Called with the line.
+    is_reported: bool = False  # Whether it has been called.
 
     def __call__(self, x: Floats) -> None:
-        """Look at positions (na, 3) of the run."""
+        """Check positions (na, 3) of the run."""
         if not self.is_reported and (line := describe_stray(self.structure, x)):
             self.is_reported = True
             self.report(line)
 
 
 def describe_stray(structure: Structure, x: Floats) -> str:
-    """Say how far positions (na, 3) are from a start with overlaps; empty within ``FAR``."""
+    """Describe the distance of positions (na, 3) from a start with overlaps. It is empty within ``FAR``."""
     alpha = structure.alpha_carbons
     if len(alpha) <= 2 or not np.isfinite(x[alpha]).all():
         return ""
@@ -80,7 +80,7 @@ _HOLD = "a restraint or a largest RMSD"
 
 
 def describe_rmsd(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
-    """Say how far an end is from its start, and what keeps a run nearer: away angstrom."""
+    """Describe the distance of an end from its start, angstrom, and options to stay nearer."""
     if not away > FAR or len(start.alpha_carbons) <= 2:
         return ""
     if turned:

@@ -53,17 +53,17 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """Solution of lowest energy, the first of equal ones; those that became another isomer come last."""
+        """Solution of lowest energy, the first of equal ones. Solutions with changed isomers come last."""
         return min(self.solutions, key=lambda s: (s.status in OTHER_ISOMER, s.end.energy))
 
     @property
     def structure(self) -> Structure:
-        """Structure at the end of the best."""
+        """Structure at the end of the best solution."""
         return self.best.structure
 
     @property
     def energy_function(self) -> Energy:
-        """Energy of all."""
+        """Energy function of all solutions."""
         return self.best.energy_function
 
     def records(self) -> list[dict[str, Any]]:
@@ -89,7 +89,7 @@ class Starts:
         return pd.DataFrame(self.records())
 
     def summary(self) -> dict[str, float]:
-        """Quantiles of the final energies, and how many lie within 1 kJ/mol of the lowest."""
+        """Quantiles of the final energies, and the number within 1 kJ/mol of the lowest."""
         energies = np.array([s.end.energy for s in self.solutions])
         low, first, middle, third, high = np.quantile(energies, [0.0, 0.25, 0.5, 0.75, 1.0])
         return {
@@ -103,7 +103,7 @@ class Starts:
         }
 
     def overall(self) -> dict[str, Any]:
-        """Entries over all starts, to replace those of the best solution's record."""
+        """Entries over all starts, which replace entries of the best solution's record."""
         rows = self.records()
         best = self.solutions.index(self.best)
         return {
@@ -143,10 +143,10 @@ def explore(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        The first start; the others are perturbed.
+    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+        The first start. The others are perturbed.
     energy : Energy or callable, optional
-        As in :func:`protochain.minimise`; one energy function serves all starts.
+        As in :func:`protochain.minimise`. All starts share one energy function.
     method : str, Recipe, or object with ``init`` and ``step``
         As in :func:`protochain.minimise`.
     n_starts : int
@@ -156,7 +156,7 @@ def explore(
     spread : float, rad
         Standard deviation of the perturbation of every hinge.
     tolerance : float, optional
-        As in :func:`protochain.minimise`, but by default 1 also in kJ/mol/nm: minima are to be compared.
+        As in :func:`protochain.minimise`, but by default 1 also in kJ/mol/nm, to compare minima.
     each : callable, optional
         Called with the number and solution of each start.
     **settings
@@ -166,7 +166,7 @@ def explore(
     Returns
     -------
     Starts
-        An interrupt ends the current start and leaves out the rest.
+        An interrupt ends the current start and skips the rest.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def explore(
 
 
 def refuse_restraints(restraint: Any, max_rmsd: float) -> None:
-    """Refuse what holds a run near its start, for many starts."""
+    """Raise an error for restraints to the start, if there are many starts."""
     if Hold.of(restraint, max_rmsd) != Hold():
         raise ProtochainError(
             Argument("restraint"),
@@ -246,7 +246,7 @@ def _move_chain(chain: Chain, q: np.ndarray) -> Chain:
 
 
 def _superpose_on_start(solution: Solution, chain: Chain) -> Solution:
-    """Superpose a solution on the structure given, which the perturbed start has left."""
+    """Superpose a solution on the unperturbed structure."""
     if solution.frame.start is chain.structure:
         return solution
     frame = replace(solution.frame, start=chain.structure)

@@ -1,4 +1,4 @@
-"""Step rules: how far to step along a direction."""
+"""Step rules, which set the length of a step along a direction."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from protochain.core.arrays import Floats
 from protochain.minimisers.problem import Evaluation, Problem
 
 SMALLEST = 1e-8
-"""rad or nm. The gain of a shorter step would be lost in the rounding of the energy."""
+"""rad or nm. The gain of a shorter step would disappear in the rounding of the energy."""
 
 
 _DECREASE, _FLATTER = 1e-4, 0.9
 """Constants of the strong Wolfe conditions for quasi-Newton steps, as in Nocedal and Wright."""
 
 _MOST = 10
-"""Doublings, and later points between two, at most."""
+"""Largest number of doublings, and then of points between two."""
 
 _Along = Callable[[float], float]
 _Point = tuple[float, ...]
@@ -32,7 +32,7 @@ class Rule(Protocol):
     def step(
         self, problem: Problem, at: Evaluation, direction: Floats, state: Any
     ) -> tuple[float, Evaluation, Any] | None:
-        """Step length, next point and state; None if no step along the direction lowers the energy."""
+        """Step length, next point and state, or None if no step along the direction lowers the energy."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Fixed:
     def step(
         self, problem: Problem, at: Evaluation, direction: Floats, state: None
     ) -> tuple[float, Evaluation, None]:
-        """Take the step."""
+        """Make the step."""
         return self.length, problem.evaluate(problem.move(at.q, self.length * direction)), None
 
 
@@ -75,27 +75,27 @@ class Decaying:
     half: float
 
     def init(self, at: Evaluation) -> int:
-        """Number of steps taken."""
+        """Number of steps so far."""
         return 0
 
     def step(
         self, problem: Problem, at: Evaluation, direction: Floats, state: int
     ) -> tuple[float, Evaluation, int]:
-        """Take the step, and count it."""
+        """Make the step, and count it."""
         length = self.length / (1.0 + state / self.half)
         return length, problem.evaluate(problem.move(at.q, length * direction)), state + 1
 
 
 @dataclass(frozen=True)
 class AcceptReject:
-    """Lengthen the step when the energy falls; otherwise take it back and shorten it.
+    """Lengthen the step if the energy falls, otherwise reject and shorten it.
 
     Parameters
     ----------
     length : float, rad
         Initial step length.
     grow, shrink : float
-        Factors on the length after a step accepted and a step taken back.
+        Factors on the length after an accepted and a rejected step.
     """
 
     length: float
@@ -121,17 +121,17 @@ class AcceptReject:
 
 @dataclass(frozen=True)
 class Armijo:
-    """Backtrack until the energy lies sufficiently below the highest of the last few (Armijo).
+    """Backtrack until the energy is sufficiently below the highest of the last few (Armijo).
 
-    Armijo, Pacific J. Math. 16:1 (1966); nonmonotone as Grippo, Lampariello, Lucidi, SIAM J. Numer. Anal.
-    23:707 (1986).
+    Armijo, Pacific J. Math. 16:1 (1966), in the nonmonotone form of Grippo, Lampariello, Lucidi, SIAM J.
+    Numer. Anal. 23:707 (1986).
 
     Parameters
     ----------
     length : float
-        Initial step length; each later search begins at twice the last length.
+        Initial step length. Each later search begins at twice the last length.
     window : int
-        Number of past energies compared with: 1 is monotone.
+        Number of past energies for comparison. 1 is monotone.
     decrease : float
         Sufficient share of the decrease predicted by the slope.
     """
@@ -162,8 +162,8 @@ class Armijo:
 class StrongWolfe:
     """Search for a step length that meets the strong Wolfe conditions.
 
-    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as scipy has them: half of scipy
-    would be read to call one.
+    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as in scipy. Importing it from
+    scipy would load half of scipy.
     """
 
     def init(self, at: Evaluation) -> None:
@@ -172,7 +172,7 @@ class StrongWolfe:
     def step(
         self, problem: Problem, at: Evaluation, direction: Floats, state: None
     ) -> tuple[float, Evaluation, None] | None:
-        """Search from a step of length 1; where the search fails, take the lowest point it met."""
+        """Search from a step of length 1. If the search fails, return its lowest point."""
         falls = float(at.torque @ direction)
         first = problem.evaluate(problem.move(at.q, direction))
         if (
@@ -209,7 +209,7 @@ class StrongWolfe:
 
 
 def _search_length(height: _Along, slope: _Along, start: float, falls: float) -> float | None:
-    """Length that meets the conditions (algorithm 3.5), or after ten doublings; None if none is found."""
+    """Length that meets the conditions (algorithm 3.5), or after ten doublings, or None."""
     before, energy_before, slope_before = 0.0, start, -falls
     length, energy = 1.0, height(1.0)
     for k in range(_MOST):
@@ -229,7 +229,7 @@ def _search_length(height: _Along, slope: _Along, start: float, falls: float) ->
 def _zoom(
     height: _Along, slope: _Along, start: float, falls: float, low: _Point, high: _Point
 ) -> float | None:
-    """Length between two (algorithm 3.6): low with a height and a slope, high with a height."""
+    """Length between two (algorithm 3.6): low with energy and slope, high with energy."""
     previous: _Point = ()
     for _ in range(_MOST + 1):
         wide = high[0] - low[0]
@@ -253,7 +253,7 @@ def _zoom(
 
 
 def _cubic(a: float, fa: float, slope: float, b: float, fb: float, c: float, fc: float) -> float:
-    """Minimum of the cubic through three points, with a slope at the first; NaN without one."""
+    """Minimum of the cubic through three points with a slope at the first, or NaN."""
     b, c = b - a, c - a
     with np.errstate(all="ignore"):
         right = np.array([fb - fa - slope * b, fc - fa - slope * c])
@@ -262,7 +262,7 @@ def _cubic(a: float, fa: float, slope: float, b: float, fb: float, c: float, fc:
 
 
 def _parabola(a: float, fa: float, slope: float, b: float, fb: float) -> float:
-    """Minimum of the parabola through two points, with a slope at the first; not finite without one."""
+    """Minimum of the parabola through two points with a slope at the first. Not finite without one."""
     b -= a
     with np.errstate(all="ignore"):
         return float(a - slope / (2.0 * ((fb - fa - slope * b) / np.float64(b * b))))

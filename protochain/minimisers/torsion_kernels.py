@@ -1,9 +1,9 @@
 """Stiffness in torsions, K = J^T C J, by one sweep over the tree for all columns.
 
-All twists and wrenches are about one point, so that those of a subtree add. A term k g g^T between atoms has
-a wrench W on each body b, and C = sum k W_b W_c^T, 6x6 for bodies b and c. With S the motion of a freedom,
-and sums over the bodies that it carries, K_kl = S_k^T (sum_b sum_c C_bc) S_l. A row of blocks, (6, 6 nb), is
-summed from the leaves inward for every body; O(nb^2) in all, whatever the number of terms.
+All twists and wrenches are about one point, so that they add up in a subtree. A term k g g^T between atoms
+has a wrench W on each body b, and C = sum k W_b W_c^T, 6x6 for bodies b and c. With S the motion of a
+freedom, and sums over the bodies that it moves, K_kl = S_k^T (sum_b sum_c C_bc) S_l. A row of blocks,
+(6, 6 nb), is summed from the leaves inward for every body. The total cost is O(nb^2) for any terms.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
 
 
 def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
-    """(n_v, 6) float: twist of each freedom's own body about the middle, at unit rate."""
+    """(n_v, 6) float: twist of each freedom's body about the middle, at unit rate."""
     tree = chain.tree
     counts, motions = np.diff(tree.v_start), np.empty((chain.n_v, 6))
     lever = middle - at.frames.origin
@@ -49,14 +49,14 @@ def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
         rates[places] = 1.0
         twists = velocities(tree, at.frames, rates)
         twists[:, 3:] += cross(twists[:, :3], lever)
-        # A body moves as its parent does, and by its own freedom.
+        # A body moves with its parent, and by its own freedom.
         inner = np.where((tree.parent >= 0)[:, None], twists[tree.parent], 0.0)
         motions[places] = (twists - inner)[has]
     return motions
 
 
 def _wrenches(atom_body: Integers, x: Floats, terms: list[Term]) -> tuple[Integers, Floats, Integers, Floats]:
-    """Bodies and wrenches of the terms that act between bodies; of each term the first, and the stiffness."""
+    """Bodies and wrenches of terms between bodies, the first wrench of each term, and its stiffness."""
     bodies, wrenches, sizes, stiffness = [], [], [], []
     for atoms, gradients, k in terms:
         where = atom_body[atoms]
@@ -91,8 +91,8 @@ def _add_tethers(atom_body: Integers, x: Floats, tether: Floats, body_blocks: Fl
 
 @kernel
 def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
-    """Bodies, children before parents, the largest branch first; and each one's depth in other branches."""
-    # Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
+    """Bodies, children before parents, the largest branch first, and the depth of each in other branches."""
+    # At any time, only a logarithmic number of rows of bodies is then unfinished.
     n = len(parent)
     size, heavy = np.ones(n, np.int64), np.full(n, -1, np.int64)
     for b in range(n - 1, -1, -1):
@@ -102,7 +102,7 @@ def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
         p = parent[b]
         if p >= 0 and (heavy[p] < 0 or size[b] > size[heavy[p]]):
             heavy[p] = b
-    # Places of a parent before its children, the largest branch last; read backwards in the end.
+    # Places of a parent before its children, the largest branch last. The order is reversed at the end.
     depth, place, following = np.zeros(n, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64)
     order, roots = np.empty(n, np.int64), 0
     for b in range(n):
@@ -136,7 +136,7 @@ def _sweep(
             term_of[e] = t
     pull = np.empty(6 * n)
     for b in order:
-        # The largest branch, done just before, left its row here.
+        # This row contains the largest branch, which was summed just before.
         row = rows[depth[b]]
         for m in range(first[b], first[b + 1]):
             e = entry[m]

@@ -1,6 +1,6 @@
-"""Bonds drawn out of rings that they go through: no force field does that, for both would have to break.
+"""Unthreading of bonds that pass through rings. A force field cannot do this, as a bond would have to break.
 
-The bond is pushed out over one side of the ring, while its residue and the ring's do not repel each other.
+The bond is pushed out over one side of the ring, while the two residues do not repel each other.
 """
 
 from collections.abc import Callable
@@ -17,23 +17,23 @@ from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import ThreadedRing, threaded_rings
 
 ATTEMPTS = 5
-"""Sides of a ring that are tried, one after the other."""
+"""Number of sides of a ring that are tried in turn."""
 
 _STIFFNESS = 2e4
 """kJ/mol/nm^2."""
 _OUT = 0.35
-"""nm from a ring's centre to the middle of the bond, when it is out: a ring's radius and a contact."""
+"""nm from a ring's centre to the middle of an unthreaded bond: a ring's radius and a contact."""
 _ROOM = 0.3
-"""nm; nearer atoms are in the way of a bond that comes out."""
+"""nm. Nearer atoms block the path of the bond."""
 _CROWDED = 0.05
-"""nm for each atom in the way."""
+"""nm, cost of each atom in the path."""
 _JOINED = 0.3
-"""nm for each end of a side at which the ring is bonded to other heavy atoms: the bond would end up there."""
+"""nm, cost of each end of a side that is bonded to other heavy atoms: the bond would get stuck there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """Push of a bond out of a ring: E = k/2 (out - s)^2, s the way of its middle from the centre, to out."""
+    """Push of a bond out of a ring: E = k/2 max(0, out - s)^2, with its middle s from the centre."""
 
     ring: Integers  # (n,) int.
     bond: Integers  # (2,) int.
@@ -50,7 +50,7 @@ class Push:
 
 
 def unthread_stages(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
-    """Stages that free threaded rings, of each of which all but the first run where one is left."""
+    """Stages that unthread rings. All but the first run only if a threaded ring remains."""
     stages = []
     for attempt in range(ATTEMPTS):
         out = replace(
@@ -65,7 +65,7 @@ def _is_threaded(stage: Stage, at: Placement) -> bool:
 
 
 def _push_bonds(attempt: int, stage: Stage, x: Floats) -> Stage:
-    """Stage that pushes each threading bond out over the side of its ring whose turn it is."""
+    """Stage that pushes each threading bond out over the side of its ring for this attempt."""
     soft = _repulsion_of(stage)
     assert isinstance(stage.energy, Sum)
     rings = threaded_rings(soft.structure, x)
@@ -83,9 +83,9 @@ def _repulsion_of(stage: Stage) -> SoftRepulsion:
 
 
 def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: int) -> Push:
-    """Push over one side of a ring: the first attempt over the best, the second over the next."""
+    """Push over one side of a ring, the best side at the first attempt, then the next one."""
     # x (na, 3) nm.
-    # The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
+    # The best side is near the bond. Beyond it is free space, and no other bond of the ring.
     ring, bond = np.array(threaded.atoms), np.array(threaded.bond)
     corners = x[ring] - x[ring].mean(axis=0)
     normal = np.linalg.svd(corners)[2][2]

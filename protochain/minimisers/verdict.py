@@ -1,4 +1,4 @@
-"""Status of a result, from energy and forces of its judge."""
+"""Status of a result, from its judge's energy and forces."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
 
 _REMEDY = "leave such hydrogens out of the file and they are placed anew, or relax the structure"
-"""What mends a bond of a wrong length."""
+"""Remedy for bonds of wrong lengths."""
 
 
 class Status(StrEnum):
@@ -49,7 +49,7 @@ class Status(StrEnum):
 
 
 OTHER_ISOMER = (Status.INVERTED, Status.ISOMERISED)
-"""Of runs whose end is another molecule than their start."""
+"""Statuses of runs whose end is another molecule than their start."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ class Judgement:
     energy : float, kJ/mol
         Of the force field alone.
     max_torque : float, kJ/mol/rad
-        Over the freedoms of the chain; the force on a free root counts as its moment at 0.1 nm.
+        Over the freedoms of the chain. The force on a free root counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the atoms that may move; OpenMM's minimiser takes the RMS of the
-        lengths of the forces, sqrt(3) times as much.
+        Over all Cartesian components of the moving atoms. OpenMM's minimiser uses the RMS of the lengths of
+        the forces, which is sqrt(3) times larger.
     sizes : mapping of str to float
         These two, the RMS torque, and the largest force on an atom, by their names in a trace.
     """
@@ -76,7 +76,7 @@ class Judgement:
 
 
 def judge(chain: Chain, at: Pose, judged: tuple[float, Floats], restraint: Force | None = None) -> Judgement:
-    """Judge a pose of a chain by energy and forces; a restraint counts in the residuals only."""
+    """Judge a pose of a chain by energy and forces. A restraint counts in the residuals only."""
     value, forces = judged
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
@@ -101,7 +101,7 @@ def verdict(
     isomerised: Sequence[str] | None = None,
     left: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
-    """Status and message, from the reason a run ended and the residual that the judge measured."""
+    """Status and message, from the reason for the end of a run and the residual by the judge."""
     # x (na, 3) nm.
     left = describe_rejections(structure, x) if left is None else left
     if moved := _changed_metal_bonds(structure, x):
@@ -113,11 +113,11 @@ def verdict(
 
 
 _METAL_CHANGE = 0.05
-"""Angstrom."""
+"""Angstrom, largest change of a metal bond that is not reported."""
 
 
 def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:
-    """Bonds of metals whose springs have other lengths at x (na, 3), nm, than in the input."""
+    """Bonds of metals whose lengths at x (na, 3), nm, differ from the input."""
     atoms = structure.bonds[structure.coordination].tolist()
     lengths = {tuple(sorted(tie.atoms)): tie.rest for tie in structure.ties if len(tie.atoms) == 2}
     lines = []
@@ -131,7 +131,7 @@ def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:
 
 
 def describe_rejections(structure: Structure, x: Floats) -> list[str]:
-    """Describe what no result may have: mirror images, other isomers, chains that stand still, faults."""
+    """Describe errors that no result may have: mirror images, other isomers, fixed chains, faults."""
     # x (na, 3) nm.
     problems = [
         f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
@@ -163,7 +163,7 @@ def _force_status(
     inverted: Sequence[str] | None,
     isomerised: Sequence[str] | None,
 ) -> tuple[Status, str]:
-    """Status and message from forces, overlaps, and what changed."""
+    """Status and message from forces, overlaps, and changes of isomers."""
     remedy = "build these residues anew first"
     if inverted is None:
         inverted = changed_stereocentres(structure, x, structure.positions)
@@ -182,7 +182,7 @@ def _force_status(
         if stop is not Stop.INTERRUPTED:
             return status, f"{status}: {measured}"
         met = False
-    # A minimum with overlapping atoms, or with a bond through a ring, is no usable result.
+    # A minimum with overlapping atoms, or with a bond through a ring, is not a usable result.
     overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)
     if met and not (overlap or threaded):
         if stop is Stop.SADDLE:
