@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
 from protochain.chains.chain import pose
-from protochain.chains.contacts import joined, near_pairs, radii
+from protochain.chains.contacts import bonded_pairs, near_pairs, radii
 from protochain.mechanics import multibody
 from protochain.minimisers import LBFGS, Descent, Newton, StrongWolfe, spring_model
 from protochain.minimisers.loop import Stop, run
@@ -46,7 +46,7 @@ def test_atoms_joined_by_few_bonds_are_those_of_the_graph():
     steps = shortest_path(graph, directed=False)
     for bonds in (1, 2, 3):
         expected = np.argwhere(np.triu((steps <= bonds) & (steps > 0)))
-        assert {tuple(pair) for pair in joined(s, bonds).tolist()} == {
+        assert {tuple(pair) for pair in bonded_pairs(s, bonds).tolist()} == {
             tuple(pair) for pair in expected.tolist()
         }
 
@@ -57,7 +57,7 @@ def test_near_pairs_are_those_of_all_distances():
     distance = np.linalg.norm(s.positions[:, None] - s.positions, axis=2)
     contact = radii(s)[:, None] + radii(s)
     near = np.triu(distance < 1.2 * contact, 1)
-    near[tuple(joined(s, 2).T)] = False
+    near[tuple(bonded_pairs(s, 2).T)] = False
     assert np.array_equal(pairs, np.argwhere(near))
     assert np.array_equal(touch, contact[tuple(pairs.T)])
 

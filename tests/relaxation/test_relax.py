@@ -14,7 +14,7 @@ from fixtures.samples import energy, load, shared
 from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
 
 import protochain as pc
-from protochain.chains.contacts import joined, overlaps
+from protochain.chains.contacts import bonded_pairs, overlaps
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.clash_resolution import unthreading_stages
@@ -105,7 +105,7 @@ def touching(structure, residue, x):
     """(nr,) bool: residues with an unbonded atom within the van der Waals radii of one of a residue's."""
     radius = np.array([VAN_DER_WAALS[str(each)] for each in structure.atom_element])
     near = np.linalg.norm(x[:, None] - x, axis=2) < radius[:, None] + radius
-    near[tuple(joined(structure, 3).T)] = near[tuple(joined(structure, 3).T[::-1])] = False
+    near[tuple(bonded_pairs(structure, 3).T)] = near[tuple(bonded_pairs(structure, 3).T[::-1])] = False
     found = np.zeros(structure.n_residues, dtype=bool)
     found[structure.atom_residue[near[structure.atom_residue == residue].any(axis=0)]] = True
     return found

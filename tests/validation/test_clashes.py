@@ -9,7 +9,7 @@ from fixtures.samples import load, shared, still
 from openmm import app
 
 import protochain as pc
-from protochain.chains.contacts import joined
+from protochain.chains.contacts import bonded_pairs
 from protochain.validation.clashes import _at_clouds, _kinds, clashes
 
 # Pairs with the radii, hydrogen bonds and excluded neighbours of this library, by the DotScorer of Probe 2
@@ -46,8 +46,8 @@ def slow(structure):
     kinds, n = _kinds(structure), structure.n_atoms
     x = _at_clouds(structure, 10 * structure.positions)
     is_h = structure.atom_element == "H"
-    near = {frozenset(pair) for pair in joined(structure, 3).tolist()}
-    near |= {frozenset(pair) for pair in joined(structure, 4).tolist() if is_h[pair].any()}
+    near = {frozenset(pair) for pair in bonded_pairs(structure, 3).tolist()}
+    near |= {frozenset(pair) for pair in bonded_pairs(structure, 4).tolist() if is_h[pair].any()}
     own = np.array([[frozenset((i, j)) in near for j in range(n)] for i in range(n)])
     found = set()
     for i in range(n):
