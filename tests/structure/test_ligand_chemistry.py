@@ -19,7 +19,7 @@ from protochain.ligands.sources import of_residue, read
 from protochain.structure.ligand_files import poses
 from protochain.structure.molecule.chirality import chiral_atoms, volume
 from protochain.structure.molecule.repairs import Kind
-from protochain.structure.preparation.ligand_chemistry import _named_apart
+from protochain.structure.preparation.ligand_chemistry import _rename_hydrogens
 from protochain.validation.stereocentres import inverted_stereocentres
 
 Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))
@@ -443,4 +443,4 @@ def test_hydrogens_of_one_name_get_names_that_no_atom_has():
     ethanol = read("CCO")
     names = [("H2", "H1", "O")[k] if k < 3 else "H" for k in range(ethanol.n_atoms)]
     given = replace(ethanol, names=tuple(names))
-    assert _named_apart(given).names == ("H2", "H1", "O", "H", "H3", "H4", "H5", "H6", "H7")
+    assert _rename_hydrogens(given).names == ("H2", "H1", "O", "H", "H3", "H4", "H5", "H6", "H7")

@@ -68,7 +68,7 @@ class FragmentBuilder:
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond."""
-        sources = {self.tag[id(m)]: self.chemist.free(m) for m in self.members}
+        sources = {self.tag[id(m)]: self.chemist.lookup(m) for m in self.members}
         for m in self.members:
             tag = self.tag[id(m)]
             free = sources[tag]

@@ -205,7 +205,7 @@ def _graph(chemist: LigandChemistry, member: Member) -> Graph | None:
     """None where there is no chemistry, which is told later."""
     graph = Graph()
     try:
-        graph.add("", chemist.free(member))
+        graph.add("", chemist.lookup(member))
     except ProtochainError:
         return None
     return graph
@@ -307,7 +307,7 @@ def _take_in(draft: Draft, chemist: LigandChemistry, made: Fragment, special: Co
         m.source = template
         states = {name: q for (owner, name), q in zip(made.owners, formal, strict=True) if owner is m}
         charge = sum(states.values()) + sum(a.charge for a in metals[id(m)])
-        source = chemist.free(m).source
+        source = chemist.lookup(m).source
         yield Repair.of(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
         yield from report_metals(m, metals[id(m)])
         for a in m.atoms if parts[id(m)].obstacle else ():
@@ -318,7 +318,7 @@ def _take_in(draft: Draft, chemist: LigandChemistry, made: Fragment, special: Co
             parts[id(m)].evidence = Evidence.FRAGMENT
         if chemist.name(m) in chemist.chemistry.user_sources:
             # The file written has to give the same chemistry again.
-            draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.free(m)))
+            draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.lookup(m)))
     for link, left in made.bonds.items():
         back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
         gone = [each for each in left if each not in back]

@@ -27,7 +27,7 @@ from protochain.structure.molecule.templates import (
     templates,
 )
 
-ChargedMolecule = tuple[Molecule, tuple[Charged, ...]]
+MoleculeAtPh = tuple[Molecule, tuple[Charged, ...]]
 """A molecule at a pH, and the atoms whose charges the pH changed."""
 
 
@@ -42,7 +42,7 @@ class Chemistry:
     has_glycam: bool = True  # Whether the force field is compatible with GLYCAM-06j.
     has_sage: bool = True  # Whether it is compatible with Sage for molecules bonded to residues.
     # Added poses by residue name.
-    posed: Mapping[str, ChargedMolecule] = field(default_factory=dict, compare=False)
+    posed: Mapping[str, MoleculeAtPh] = field(default_factory=dict, compare=False)
 
     @classmethod
     def parse(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
