@@ -26,7 +26,7 @@ from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanics.multibody.operational import row_loads
 
 CLOSED_NM = 1e-12
-"""Largest error of a distance after a step: some hundred times the rounding error of coordinates."""
+"""Largest error of a distance after a step, about a hundred times the rounding error of coordinates."""
 _ITERATIONS = 50
 
 
@@ -71,7 +71,7 @@ class Closure:
         return Rows(self.body, np.concatenate([np.cross(arm, force), force], axis=2))
 
     def project_velocities(self, factors: Articulated, p: Floats) -> Floats:
-        """Velocities (n_v,) of momenta p (n_v,), projected onto those that keep the distances."""
+        """Velocities (n_v,) of momenta p (n_v,), projected so that the distances stay constant."""
         return solve_closed(self.tree, factors.frames, p, self.rows(factors.frames))
 
     def log_det(self, factors: Articulated) -> tuple[float, Floats]:
@@ -85,9 +85,9 @@ class Closure:
         Notes
         -----
         With A = G M^-1 G^T = L L^T, G' = L^-1 G and u_i the rows of G' M^-1, the gradient is the sum over i
-        of 2 dG'_i u_i - u_i^T dM u_i at constant L and u. Either is that of loads on twists (of the rows
-        and of the momenta) that turn with the bodies, but for the lines of the distances, which follow both
-        of their ends. O(m n + m^3).
+        of 2 dG'_i u_i - u_i^T dM u_i at constant L and u. Both terms are gradients of loads on twists (of the
+        rows and of the momenta) that turn with the bodies. Only the lines of the distances follow both of
+        their ends. O(m n + m^3).
         """
         tree, frames = factors.tree, factors.frames
         rows = self.rows(frames)
@@ -103,7 +103,7 @@ class Closure:
         return 2.0 * float(np.sum(np.log(np.diagonal(upper)))), 2.0 * gradient
 
     def _turned_lines(self, frames: Frames, twists: Floats) -> Floats:
-        """(nb, 6) loads whose torques are what :meth:`rows` change beyond turning with their bodies."""
+        """(nb, 6) loads whose torques are the change of :meth:`rows` other than turning with their bodies."""
         # twists (m, nb, 6).
         ends = self.ends(frames)
         line = ends[:, 1] - ends[:, 0]
@@ -121,14 +121,14 @@ class Closure:
         return out
 
     def drift(self, drift: Drift, at: Phase, p: Floats, time_step: float) -> Drifted:
-        """Drift with constraint impulses at the start, such that the distances are kept at the end.
+        """Drift with constraint impulses at the start, such that the distances are correct at the end.
 
         Raises
         ------
         StepTooLargeError
             If the iteration for the impulses does not converge.
         ChainError
-            If it does not because of the distance from the origin.
+            If it does not converge because of the distance from the origin.
 
         Notes
         -----
@@ -163,17 +163,17 @@ def closure_of(chain: Chain, q: Floats | None = None) -> Closure:
     chain : Chain
         Chain with disulfides or other cross-links.
     q : (n_q,) float, optional
-        Coordinates; by default those of the input pose.
+        Coordinates. Default: the input pose.
 
     Returns
     -------
     Closure
-        Three distances a loop, fewer at an ion; its dihedral is left to the force field.
+        Three distances per loop, fewer at an ion. The force field determines its dihedral.
 
     Raises
     ------
     ChainError
-        If there is no loop.
+        If the chain has no loop.
     """
     if not len(chain.loops):
         raise ChainError(f"{chain.structure.name}: no loop to close; choose loops open")

@@ -13,7 +13,7 @@ def has_free_roots(tree: Tree) -> bool:
 
 
 def remove_com_motion(tree: Tree, frames: Frames, qd: Floats) -> Floats:
-    """Remove translation and rotation of the whole from velocities (n_v,); all roots are free."""
+    """Remove translation and rotation of the whole from velocities (n_v,), if all roots are free."""
     centre = multibody.centre_of_mass(tree, frames)
     turns = [_rigid_motion(tree, frames, axis, np.zeros(3), centre) for axis in np.eye(3)]
     inertia = np.stack([multibody.momentum(tree, frames, turn)[1] for turn in turns], axis=1)

@@ -27,7 +27,7 @@ CHECKPOINT = "checkpoint.npz"
 _STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
 _PART = "log.part.csv"
 _END = "\r\n"
-"""End of a line of the log, as the csv module has it."""
+"""End of a line of the log, as in the csv module."""
 
 
 def files_of(path: Path, suffix: str) -> list[Path]:
@@ -55,21 +55,21 @@ def _open_checkpoint(path: Path, settings: Mapping[str, Any]) -> AbstractContext
 _AGAIN = "start again with ", Argument("force", True)
 
 CONSTANTS = ("loop_lengths", "pull_start", "hinge_rest")
-"""What a run measures at its start and keeps: distances at closed loops, nm, and between the places of a
-pull, nm; values of hinges with springs, rad."""
+"""Constants that a run measures at its start: distances at closed loops, nm, the distance between the places
+of a pull, nm, and values of hinges with springs, rad."""
 
 
 def constants_of(path: Path) -> dict[str, Floats]:
-    """What the simulation in a folder measured at its start, by name."""
+    """Constants that the simulation in a folder measured at its start, by name."""
     with _open_checkpoint(path, {}) as contents:
         return dict(contents.arrays)
 
 
 class Folder:
-    """Files of one simulation, appended to as it runs.
+    """Files of one simulation, which are extended during the run.
 
     ``trajectory.dcd`` (or ``.xtc``) and ``log.csv`` are named ``trajectory.part.dcd`` and ``log.part.csv``
-    until the run has ended without becoming unstable. A run shares its settings to resume from a checkpoint.
+    until the run has ended without becoming unstable. A resumed run must have the settings of the checkpoint.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Folder:
         self.trajectory = path / f"trajectory.{suffix}"
         self.log, self.log_part = path / "log.csv", path / _PART
         self.stored: dict[str, Any] = {}
-        """What the last checkpoint counts: step, frames, and bytes of the files."""
+        """Counts of the last checkpoint: step, frames, and bytes of the files."""
 
     def open(self, structure: Structure, start: Floats, frame_interval: float, columns: list[str]) -> None:
         """Create the files of a simulation that starts at positions (na, 3)."""
@@ -104,7 +104,7 @@ class Folder:
             n_listed = len(contents.arrays["lists_at"])
             lists_at = contents.array("lists_at", (structure.n_atoms if n_listed else 0, 3))
             self.stored = values = {name: contents.count(name) for name in _COUNTED}
-        # All is read before any file is changed: a run that is refused leaves its folder as it was.
+        # All is read before any file is changed, so that a refused run does not change its folder.
         log = self.log_part if self.log_part.exists() else self.log
         text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
         if len(text) < values["log_bytes"]:
@@ -153,7 +153,7 @@ class Folder:
         self.stored = values
 
     def close(self, sound: bool) -> None:
-        """Close the files; give them their final names if the run is sound."""
+        """Close the files, and give them their final names if the run is stable."""
         self._rows.close()
         if sound:
             self.log_part.replace(self.log)
@@ -162,9 +162,9 @@ class Folder:
             self._frames.close()
 
     def rescue(self) -> str:
-        """Keep what the last checkpoint counts, under final names, after a file could not be written."""
+        """Give the files of the last checkpoint their final names, after one could not be written."""
         if hasattr(self, "_rows"):
-            with suppress(OSError):  # What a full disk did not take is still in the buffer.
+            with suppress(OSError):  # The buffer may contain data that a full disk did not accept.
                 self._rows.close()
         if not self.stored:
             if hasattr(self, "_frames"):
@@ -179,7 +179,7 @@ class Folder:
         return f"{self.stored['frames']} frames, and what is needed to go on from step {self.stored['step']}"
 
     def last(self, structure: Structure) -> Path:
-        """Path of the final structure: PDB if the format can hold it, otherwise mmCIF."""
+        """Path of the final structure: PDB if the format allows it, otherwise mmCIF."""
         return self.path / f"last{common_suffix([structure])}"
 
     def summarise(self, record: Mapping[str, Any]) -> None:
@@ -189,7 +189,7 @@ class Folder:
 
 @contextmanager
 def rescue_on_failure(folder: Folder | None) -> Iterator[None]:
-    """Keep what can be kept of a simulation when a file cannot be written, and say what and how to go on."""
+    """Save the files of a simulation if one cannot be written, and report them and how to continue."""
     try:
         yield
     except WriteError as error:
@@ -203,7 +203,7 @@ _COUNTED = ("step", "frames", "trajectory_bytes", "log_bytes")
 
 
 def _state(tree: Tree, contents: Checkpoint) -> State:
-    """State of a checkpoint; a ValueError unless all of it fits the tree, as kernels count on."""
+    """State of a checkpoint. Raise a ValueError unless all shapes fit the tree, as kernels require."""
     arrays, q = contents.arrays, contents.array("q", (tree.n_q,))
     fresh = articulate(tree, pose(tree, q))
     shapes = {

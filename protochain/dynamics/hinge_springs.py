@@ -41,22 +41,22 @@ class Dampers:
     """Dampers of hinges: torques -c qd, and sqrt(2 c kT) times white noise.
 
     At constant q torques at the hinges S change their rates u = S^T qd by W = S^T M^-1 S, so that
-    du = -W C u dt + W sqrt(2 kT C) dw. With C^1/2 W C^1/2 = V L V^T this is m scalar equations for
-    z = V^T C^1/2 u, each of whose solutions over a time t is z exp(-L t) and a normal number of variance
-    kT L (1 - exp(-2 L t)); the impulse at the hinges is C^1/2 V (z(t) - z(0)) / L. It damps at once what a
-    step does not resolve, however large c, and leaves the canonical distribution as it is. Half a step of
-    it on either side of an integrator's step is of order two (Strang, SIAM J. Numer. Anal. 5:506, 1968).
+    du = -W C u dt + W sqrt(2 kT C) dw. With C^1/2 W C^1/2 = V L V^T these are m scalar equations for
+    z = V^T C^1/2 u. Each solution over a time t is z exp(-L t) plus a normal number of variance
+    kT L (1 - exp(-2 L t)). The impulse at the hinges is C^1/2 V (z(t) - z(0)) / L. This damps fast motion at
+    once, for any c, and preserves the canonical distribution. Half a step of it on either side of an
+    integrator's step is of order two (Strang, SIAM J. Numer. Anal. 5:506, 1968).
     """
 
-    at_v: Integers  # (m,) int: Their freedoms, each once.
+    at_v: Integers  # (m,) int: Their freedoms, unique.
     damping: Floats  # (m,) kJ/mol ps/rad^2: Constants c, above 0.
-    thermal_energy: float  # kJ/mol: Value of kT; 0 for no noise.
+    thermal_energy: float  # kJ/mol: Value of kT, 0 for no noise.
 
     def apply(self, system: System, at: Phase, time: float, rng: np.random.Generator | None) -> Phase:
-        """Phase after the dampers alone have acted for a time; without ``rng`` they only damp."""
+        """Phase after the dampers alone have acted for a time. Without ``rng`` they have no noise."""
         root, rate, modes = _modes(self, system, at.factors)
         decayed = -np.expm1(-rate * time)
-        # Where closed loops leave no motion the rate is 0, and the quotients are their limits.
+        # If closed loops prevent a motion, its rate is 0, and the quotients are their limits.
         is_still = rate < 1e-12 * rate.max(initial=0.0) + 1e-300
         safe = np.where(is_still, 1.0, rate)
         impulse = -np.where(is_still, time, decayed / safe) * (modes.T @ (root * at.qd[self.at_v]))
@@ -70,7 +70,7 @@ class Dampers:
 
 @lru_cache(maxsize=1)
 def _modes(dampers: Dampers, system: System, factors: Articulated) -> tuple[Floats, Floats, Floats]:
-    """Roots of c (m,), rates L (m,) and modes V (m, m); kept, as a step begins where the last one ended."""
+    """Roots of c (m,), rates L (m,) and modes V (m, m), cached: a step begins at the end of the last."""
     root, n_v = np.sqrt(dampers.damping), system.tree.n_v
     responses = np.array([_velocity_change(system, factors, unit) for unit in np.eye(n_v)[dampers.at_v]])
     response = root[:, None] * responses[:, dampers.at_v] * root
@@ -79,14 +79,14 @@ def _modes(dampers: Dampers, system: System, factors: Articulated) -> tuple[Floa
 
 
 def _velocity_change(system: System, factors: Articulated, p: Floats) -> Floats:
-    """Velocities (n_v,) of momenta p (n_v,), which closed loops allow."""
+    """Velocities (n_v,) of momenta p (n_v,), projected if loops are closed."""
     if system.constraint is None:
         return solve(factors, p)
     return system.constraint.project_velocities(factors, p)
 
 
 def hinges_of(spring: HingeSpring, chain: Chain) -> Integers:
-    """Hinges of a chain that a spring is for, by number."""
+    """Numbers of the hinges of a chain to which a spring applies."""
     if "@" in spring.kind or " " in spring.kind:
         return np.array([chain.hinge(spring.kind)])
     hinges = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
@@ -106,7 +106,7 @@ def _is_kind(hinge: Hinge, kind: str) -> bool:
 
 
 def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> HingeSprings | None:
-    """Springs of these settings for a chain that starts at q, where they have no torque; None without any."""
+    """Springs of these settings for a chain, with zero torque at its start q, or None without any."""
     if not springs:
         return None
     groups = [hinges_of(spring, chain) for spring in springs]
@@ -124,7 +124,7 @@ def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> Hi
 
 
 def dampers(springs: Sequence[HingeSpring], chain: Chain, thermal_energy: float) -> Dampers | None:
-    """Dampers of these settings for a chain, with noise for kT in kJ/mol, 0 for none; None without any."""
+    """Dampers of these settings for a chain, with noise for kT in kJ/mol (0: none), or None without any."""
     damping = np.zeros(chain.n_v)
     for spring in springs:
         damping[chain.tree.v_start[chain.hinge_body[hinges_of(spring, chain)]]] += spring.damping

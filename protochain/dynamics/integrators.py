@@ -1,4 +1,4 @@
-"""Integrators by the names that users give, and what they step; the mechanics are those of any mechanism."""
+"""Integrators by their names in settings, and the systems that they advance, from general mechanics."""
 
 from protochain.mechanics.motion import lobatto
 from protochain.mechanics.motion.leapfrog import Leapfrog

@@ -17,10 +17,10 @@ from protochain.mechanics.motion.system import Integrator, Phase, StepTooLargeEr
 from protochain.mechanics.multibody import sample_velocities
 
 COM_REMOVAL_STEPS = 100
-"""Steps between removals of the centre-of-mass motion that rounding builds up."""
+"""Steps between removals of the centre-of-mass motion that accumulates by rounding."""
 BREACH = 0.2
-"""Largest change of the total energy in one step, relative to thermal plus kinetic energy, the larger of
-those before and after: a step and its reverse are refused together. Stable steps change it by thousandths."""
+"""Largest change of the total energy in one step, relative to thermal plus kinetic energy. The larger kinetic
+energy of both ends counts, so that reverse steps are refused alike. Stable steps change it by thousandths."""
 
 
 class Ending(StrEnum):
@@ -33,7 +33,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Complete state of a simulation, from which it can be continued.
+    """Complete state of a simulation, from which it can continue.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class State:
     bath : Bath
         State of the thermostat.
     damped : float, kJ/mol
-        Energy given to the dampers of hinges.
+        Energy transferred to the dampers of hinges.
     """
 
     step: int
@@ -54,7 +54,7 @@ class State:
 
     @property
     def conserved_energy(self) -> float:
-        """Conserved quantity, kJ/mol: total energy and that given to heat bath and dampers, less the work."""
+        """Conserved quantity, kJ/mol: total energy, plus energy of heat bath and dampers, minus the work."""
         return self.at.total - float(np.sum(self.at.work)) + self.bath.energy + self.damped
 
 
@@ -93,7 +93,7 @@ class Propagator:
 
 
 def noise(seed: int, step: int, stream: int = 0) -> np.random.Generator:
-    """Random generator of one step, which depends only on the seed and the step: so runs can be resumed."""
+    """Random generator of one step. It depends only on seed and step, so that runs can be resumed."""
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, stream, step]))
 
 
@@ -119,8 +119,8 @@ def advance(propagator: Propagator, state: State) -> State:
 
     Notes
     -----
-    Metropolis' criterion needs every step to have its reverse: one that is taken but would not be taken back
-    is refused (Zappa, Holmes-Cerfon, Goodman, Commun. Pure Appl. Math. 71:2609, 2018).
+    Metropolis' criterion requires a reverse for every step. A step whose reverse would fail is rejected
+    (Zappa, Holmes-Cerfon, Goodman, Commun. Pure Appl. Math. 71:2609, 2018).
     """
     step, at, damped, dampers = state.step + 1, state.at, state.damped, propagator.dampers
     if dampers is not None:
@@ -145,7 +145,7 @@ def advance(propagator: Propagator, state: State) -> State:
 def _apply_dampers(
     propagator: Propagator, dampers: Dampers, at: Phase, damped: float, shake: np.random.Generator
 ) -> tuple[Phase, float]:
-    """Let the dampers act for half a step; return also the energy that they have by then."""
+    """Apply the dampers for half a step. Return also their energy after it."""
     after = dampers.apply(propagator.system, at, 0.5 * abs(propagator.time_step), shake)
     return after, damped + at.kinetic - after.kinetic
 

@@ -1,4 +1,4 @@
-"""Potentials of a chain, as integrators see them: its force field, and what corrects for rigid bonds."""
+"""Potentials of a chain for integrators: its force field, and corrections for rigid bonds."""
 
 from collections.abc import Callable
 
@@ -36,7 +36,7 @@ def chain_potential(chain: Chain, energy: Callable[[Floats], tuple[float, Floats
 
 
 def fixman(thermal_energy: float, closure: Closure | None = None) -> Potential:
-    """Build Fixman's potential: with it rigid bonds and angles sample torsions as stiff springs would.
+    """Build Fixman's potential, with which rigid bonds and angles sample torsions like stiff springs.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ def fixman(thermal_energy: float, closure: Closure | None = None) -> Potential:
     Returns
     -------
     callable
-        Potential (kT/2) ln det M, to be added to the force field; without it the density of sampled torsions
-        has an additional factor sqrt(det M). With closed loops (kT/2) (ln det M + ln det G M^-1 G^T), where
-        G are the gradients of the distances: then the density is that of stiff springs in their place.
+        Potential (kT/2) ln det M, to be added to the force field. Without it the density of sampled torsions
+        has an additional factor sqrt(det M). With closed loops it is (kT/2) (ln det M + ln det G M^-1 G^T),
+        with G the gradients of the distances. The density then equals the density with stiff springs.
 
     Notes
     -----
-    Fixman, PNAS 71:3050 (1974); its torque by Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys.
-    139:244103 (2013). O(n), with closed loops O(m n). Each hinge that opens a bond angle would need
-    -kT ln sin(angle) in addition; this is omitted, since angles hardly leave their minima.
+    Fixman, PNAS 71:3050 (1974). The torque is by Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys.
+    139:244103 (2013). O(n), with closed loops O(m n). Each hinge that opens a bond angle would also need
+    -kT ln sin(angle). This is omitted, since angles hardly leave their minima.
     """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:

@@ -1,4 +1,4 @@
-"""Spring between two places of a chain, whose length at rest changes at constant speed."""
+"""Spring between two places of a chain, whose rest length changes at constant speed."""
 
 from dataclasses import dataclass, replace
 
@@ -16,37 +16,36 @@ from protochain.structure.molecule.model import Structure
 from protochain.structure.select import atoms_at
 
 _LEAST = 1e-9
-"""nm. Nearer than this the direction between the places is rounding; the force is then 0."""
+"""nm. At shorter distances the direction between the places is rounding, and the force is 0."""
 
 
 _SMALLEST_RESPONSE = 1e-9
-"""Of how easily a distance changes without loops: less is rounding."""
+"""Share of the response of a distance without loops. Smaller responses are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovingSpring:
     """Spring E = k/2 (r - l)^2 between two points, with l = l0 + v t, at least 0.
 
-    The spring takes the work of whoever moves it, -k v (r - l) dt; the molecule takes what it gives back, so
-    that work is that of the load plus the energy in the spring. It is the work in Jarzynski's equation,
-    Phys. Rev. Lett. 78:2690 (1997), with the spring as part of the system: Hummer, Szabo, Proc. Natl. Acad.
-    Sci. USA 98:3658 (2001).
+    The motion of the spring does the work -k v (r - l) dt. This work equals the work of the load on the
+    molecule plus the energy in the spring. It is the work in Jarzynski's equation, Phys. Rev. Lett. 78:2690
+    (1997), with the spring as part of the system: Hummer, Szabo, Proc. Natl. Acad. Sci. USA 98:3658 (2001).
     """
 
     tree: Tree  # Rigid bodies.
     body: Integers  # (m,) int: Bodies that carry the two places.
     local: Floats  # (m, 3) nm: Points of these bodies, in their frames.
-    share: Floats  # (m,): Weights with which they add up to the vector from the first place to the second.
+    share: Floats  # (m,): Weights of the points in the vector from the first place to the second.
     stiffness: float  # stiffness, speed: Constants k and v.
     speed: float
-    start: float  # nm: Length at rest at time 0, l0.
+    start: float  # nm: Rest length at time 0, l0.
 
     def length(self, time: float) -> float:
-        """Length at rest, nm."""
+        """Rest length, nm."""
         return max(0.0, self.start + self.speed * time)
 
     def tension(self, time: float, frames: Frames) -> tuple[float, float]:
-        """Distance of the places in nm, and the force that draws them apart in kJ/mol/nm."""
+        """Distance of the places in nm, and the force that pulls them apart in kJ/mol/nm."""
         distance = float(np.linalg.norm(self._across(frames)[1]))
         return distance, self.stiffness * (self.length(time) - distance)
 
@@ -66,13 +65,13 @@ class MovingSpring:
         }
 
     def load(self) -> Load:
-        """Forces of the spring, for integrators that know the time."""
+        """Forces of the spring, for integrators that depend on time."""
         return Load(
             lambda time, q, qd, frames: Applied(self._wrenches(time, frames)), depends_on_velocity=False
         )
 
     def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
-        """Energy and torques (n_v,) of the spring as it is at time 0, for one that does not move."""
+        """Energy and torques (n_v,) of a spring that does not move."""
         frames = factors.frames
         return self.energy(0.0, frames), multibody.pull_back(self.tree, frames, self._wrenches(0.0, frames))
 
@@ -85,7 +84,7 @@ class MovingSpring:
         """Moments and forces (nb, 6) on the bodies."""
         arm, across = self._across(frames)
         distance = float(np.linalg.norm(across))
-        # A spring of no length at rest has a force at any distance: k times the vector itself.
+        # With a rest length of 0 the force at any distance is k times the vector itself.
         return self._spread(arm, self.stiffness * (self.length(time) / max(distance, _LEAST) - 1.0) * across)
 
     def gradient(self, frames: Frames) -> Floats:
@@ -112,7 +111,7 @@ def check_pull(pull: Pull, chain: Chain) -> None:
     first, second = places_of(pull, chain.structure)
     fixed = chain.tree.kind == HingeKind.FIXED
     of_atoms = chain.rigid_groups[np.concatenate([first, second])]
-    # What no hinge moves is one body with the world; -1 fills rows.
+    # Fixed bodies count as one body, the world. -1 fills rows.
     groups = [{-2 if fixed[b] else b for b in row if b >= 0} for row in of_atoms.tolist()]
     if set.intersection(*groups):
         raise ChainError(
@@ -126,8 +125,8 @@ def check_pull(pull: Pull, chain: Chain) -> None:
 
 
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
-    """Spring of these settings for a chain that starts at q, at its length at rest."""
-    # Its places are centres of mass, one point for each body that has a part of them.
+    """Spring of these settings for a chain that starts at q, with its rest length there."""
+    # Its places are centres of mass, with one point for each body that has atoms of them.
     check_pull(pull, chain)
     mass = chain.structure.atom_mass
     body, local, share = list[int](), list[Floats](), list[float]()
@@ -145,7 +144,7 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
 
 
 def refuse_fixed(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:
-    """Refuse places whose distance closed loops keep at q."""
+    """Raise an error for places whose distance is constant at q because of closed loops."""
     if system.constraint is None:
         return
     factors = system.factors(q)
