@@ -82,7 +82,7 @@ def _of_residue(
     quartets += polar if name in _POLAR else []
     arm = arm_of(structure.neighbours, [tuple(at[atom] for atom in quartet) for quartet in quartets])
     side = set(at.values()) - {at[atom] for atom in ("N", "CA", "C", "O") if atom in at}
-    if not set(arm.moved.tolist()) <= side or fixed[arm.moved].any():
+    if not set(arm.moved_atoms.tolist()) <= side or fixed[arm.moved_atoms].any():
         return None
     now = arm.dihedrals(x)
     mirror = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
@@ -90,12 +90,12 @@ def _of_residue(
     chi, rarity = _candidate_dihedrals(name, now[:n_chi], mirror * library, -np.log(frequency))
     if polar and n_chi < len(quartets):
         chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])
-    turned = arm.turned(x, chi)
+    turned = arm.positions_at(x, chi)
     # The input's positions are preserved bit for bit.
-    turned[0] = x[arm.moved]
+    turned[0] = x[arm.moved_atoms]
     cost = _RARITY * rarity
     cost[0] -= _STAYING
-    return Rotamers(residue, arm.moved, chi, n_chi, turned, cost)
+    return Rotamers(residue, arm.moved_atoms, chi, n_chi, turned, cost)
 
 
 def _candidate_dihedrals(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:

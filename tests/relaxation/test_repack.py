@@ -283,7 +283,7 @@ def scrambled(structure, n, seed=0):
         moved = arm.atoms
         at = {str(structure.atom_name[i]): i for i in np.flatnonzero(structure.atom_residue == arm.residue)}
         quartet = tuple(at[name] for name in residues.CHI[str(structure.residue_name[arm.residue])][0])
-        x[moved] = Arm((quartet,), (moved,)).turned(x, rng.uniform(-np.pi, np.pi, (1, 1)))[0]
+        x[moved] = Arm((quartet,), (moved,)).positions_at(x, rng.uniform(-np.pi, np.pi, (1, 1)))[0]
     return structure.with_positions(x), [arm.residue for arm in chosen]
 
 

@@ -283,7 +283,7 @@ def made(name, at, number=1, chain="A", is_d=False):
 
 def test_atoms_touch_by_their_kinds():
     kinds = Kinds([("LEU", "CD1", ""), ("SER", "OG", ""), ("LYS", "NZ", ""), ("HEM", "FE", "Fe")])
-    contact, depth = kinds.beside(Kinds([("ASP", "OD1", ""), ("PRO", "N", ""), ("ALA", "N", "")]))
+    contact, depth = kinds.pair_parameters(Kinds([("ASP", "OD1", ""), ("PRO", "N", ""), ("ALA", "N", "")]))
     # A hydroxyl gives to the acid and takes from the amide, which proline lacks; the amine gives to the acid.
     assert contact == pytest.approx(np.array(
         [[1.96 + 1.40, 1.96 + 1.70, 1.96 + 1.42], [2.8, 1.43 + 1.70, 2.8], [2.8, 1.69 + 1.70, 1.69 + 1.42],
@@ -377,21 +377,21 @@ def test_a_site_tells_phi_and_psi_of_the_l_amino_acid():
 
 def test_what_a_site_knows_is_its_heavy_atoms_in_its_hand():
     one = made("SER", {"N": [1, 2, 3], "H": [4, 5, 6]})
-    assert {n: x.tolist() for n, x in Site(one, 1, None, None).known.items()} == {"N": [1, 2, 3]}
-    assert Site(one, -1, None, None).known["N"].tolist() == [-1, -2, -3]
+    assert {n: x.tolist() for n, x in Site(one, 1, None, None).heavy_positions.items()} == {"N": [1, 2, 3]}
+    assert Site(one, -1, None, None).heavy_positions["N"].tolist() == [-1, -2, -3]
 
 
 def test_atoms_within_three_bonds_along_the_chain_do_not_repel():
     before, one, after = (made(n, backbone(n), k) for k, n in enumerate(("GLY", "SER", "GLY")))
     own = id(one)
-    found = packing._joined(Site(one, 1, before, after))
+    found = packing._nearby(Site(one, 1, before, after))
     assert found["OG"] == {(own, n) for n in ("OG", "CB", "CA", "N", "C")}
     near = {(own, n) for n in ("CB", "OG", "CA", "N", "C", "O")}
     assert found["CB"] == near | {(id(before), "C"), (id(after), "N")}
-    assert packing._joined(Site(one, 1, None, None))["CB"] == near
-    edge = packing._joined(Site(one, 1, before, after))["C"]
+    assert packing._nearby(Site(one, 1, None, None))["CB"] == near
+    edge = packing._nearby(Site(one, 1, before, after))["C"]
     assert (id(after), "CA") in edge and (id(before), "C") in edge and (id(before), "CA") not in edge
-    assert {(id(before), n) for n in ("C", "CA", "O")} <= packing._joined(Site(one, 1, before, after))["N"]
+    assert {(id(before), n) for n in ("C", "CA", "O")} <= packing._nearby(Site(one, 1, before, after))["N"]
 
 
 def test_conformers_feel_others_beyond_three_bonds_and_not_their_own_residue():
@@ -399,9 +399,9 @@ def test_conformers_feel_others_beyond_three_bonds_and_not_their_own_residue():
     water = made("HOH", {"O": [12.0, 1, 0]}, 2)
     before = made("GLY", {"C": [10.0, 0.1, 0], "CA": [12.0, 0, 0]}, 0)
     x = np.array([[[10.0, 0, 0], [12.0, 0, 0]], [[10.0, -50, 0], [12.0, -50, 0]]])
-    felt = packing._Surroundings([one, water, before]).felt(Site(one, 1, before, None), ("CB", "NZ"), x)
+    felt = packing._Surroundings([one, water, before]).energies(Site(one, 1, before, None), ("CB", "NZ"), x)
     own = Kinds([("LYS", "CB", ""), ("LYS", "NZ", "")])
-    contact, depth = own.beside(Kinds([("HOH", "O", "O"), ("GLY", "CA", ""), ("GLY", "C", "")]))
+    contact, depth = own.pair_parameters(Kinds([("HOH", "O", "O"), ("GLY", "CA", ""), ("GLY", "C", "")]))
     # C before is three bonds from CB, and five from NZ.
     contact[0, 2] = 0.0
     others = np.array([[[12.0, 1, 0], [12.0, 0, 0], [10.0, 0.1, 0]]])
@@ -430,7 +430,7 @@ def test_no_other_choice_costs_less(seed):
                 cost += 10.0 * (1.0 - 1.0 / s) if s > 1.0 else deep * (s**12 - s**6)
         return cost
 
-    found = packing._settled(choices)
+    found = packing._choose_conformers(choices)
     least = min(total(taken) for taken in product(range(4), repeat=5))
     assert found.is_proven and total(found.states) == pytest.approx(least, abs=1e-6)
 

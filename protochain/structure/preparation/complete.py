@@ -131,9 +131,9 @@ def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Cha
         if missing != ["O"]:
             sites.append(((yield from _site(part, i)), set(missing)))
     for site, _ in sites:
-        places = bridge_gaps(site.member.name, site.known)
+        places = bridge_gaps(site.member.name, site.heavy_positions)
         _add(site.member, {name: site.sign * x for name, x in places.items()})
-    open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
+    open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.heavy_positions.keys()]
     if open_ended:
         yield from _pack(draft, open_ended)
     for site, added in sites:

@@ -1,4 +1,4 @@
-"""Side chains turned about their bonds: bond lengths and angles stay."""
+"""Rotate side chains about their bonds, with fixed bond lengths and angles."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,33 +17,33 @@ WIDTH = np.deg2rad(20.0)
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """What of a side chain can turn."""
+    """Rotatable part of a side chain."""
 
     axes: tuple[tuple[int, ...], ...]  # Atoms that define each dihedral, from the backbone outward.
     outward: tuple[Integers, ...]  # Atoms that each dihedral turns; the first turns them all.
 
     @property
-    def moved(self) -> Integers:
+    def moved_atoms(self) -> Integers:
         """(n_moved,) int: atoms that any dihedral turns."""
         return self.outward[0]
 
     def dihedrals(self, x: Floats) -> Floats:
-        """(n_chi,) float, rad: where the atoms are now, x (na, 3)."""
+        """(n_chi,) float, rad: dihedrals of positions x (na, 3)."""
         return np.array([float(dihedral(*x[list(quartet)])) for quartet in self.axes])
 
-    def turned(self, x: Floats, chi: Floats) -> Floats:
-        """Positions (n, n_moved, 3) at dihedrals (n, n_chi), rad, of what is at x (na, 3) now."""
-        tried = np.repeat(x[self.moved][None], len(chi), axis=0)
-        row = {int(atom): k for k, atom in enumerate(self.moved)}
-        for k, (quartet, its) in enumerate(zip(self.axes, self.outward, strict=True)):
+    def positions_at(self, x: Floats, chi: Floats) -> Floats:
+        """Rotate the moved atoms of x (na, 3) to dihedrals (n, n_chi), rad: positions (n, n_moved, 3)."""
+        tried = np.repeat(x[self.moved_atoms][None], len(chi), axis=0)
+        row = {int(atom): k for k, atom in enumerate(self.moved_atoms)}
+        for k, (quartet, atoms) in enumerate(zip(self.axes, self.outward, strict=True)):
             at = [tried[:, row[i]] if i in row else x[i] for i in quartet]
-            rows = [row[int(i)] for i in its]
+            rows = [row[int(i)] for i in atoms]
             tried[:, rows] = rotate(tried[:, rows], at[1], at[2], chi[:, k] - dihedral(*at))
         return tried
 
 
 def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> Arm:
-    """Side chain whose dihedrals are about these axes; ``bonded`` are the bonded atoms of each atom."""
+    """Return the side chain with these dihedral axes. ``bonded`` lists the neighbours of each atom."""
     outward = (np.array(sorted(beyond(bonded, *quartet[1:3])), dtype=np.int64) for quartet in axes)
     return Arm(tuple(axes), tuple(outward))
 
@@ -51,12 +51,12 @@ def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> 
 def backbone_of(
     bonded: Sequence[Sequence[int]], at: Mapping[str, int], x: Floats, mirror: int
 ) -> tuple[float, float]:
-    """Phi and psi, degrees, of a residue at x (na, 3), usual at ends; ``mirror`` -1: of its image."""
-    own, angles = set(at.values()), list(BACKBONE)
+    """Return phi and psi (degrees) at x (na, 3), usual at ends. If ``mirror`` is -1, of the mirror image."""
+    residue_atoms, angles = set(at.values()), list(BACKBONE)
     inner = [at[name] for name in ("N", "CA", "C")]
     for k, end in enumerate(("N", "C")):
-        for other in [i for i in bonded[at[end]] if i not in own][:1]:
-            quartet = [other, *inner] if end == "N" else [*inner, other]
+        for neighbour in [i for i in bonded[at[end]] if i not in residue_atoms][:1]:
+            quartet = [neighbour, *inner] if end == "N" else [*inner, neighbour]
             angles[k] = mirror * float(np.rad2deg(dihedral(*x[quartet])))
     return angles[0], angles[1]
 
@@ -64,7 +64,7 @@ def backbone_of(
 def dihedral_grid(
     chi: Floats, rarity: Floats, turns: Iterable[float], n_turned: int, width: float = WIDTH
 ) -> tuple[Floats, Floats]:
-    """Dihedrals (m, n_chi) about those of rotamers chi (n, n_chi), rad, and their costs (m,)."""
+    """Return dihedrals (m, n_chi) around rotamers chi (n, n_chi), rad, and their costs (m,)."""
     ways = list(product(turns, repeat=n_turned))
     steps = np.zeros((len(ways), chi.shape[1]))
     steps[:, :n_turned] = ways
@@ -83,5 +83,5 @@ def rotate(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
 
 
 def wrap_angle(angle: Floats) -> Floats:
-    """Angles between -pi and pi."""
+    """Wrap angles to the range from -pi to pi."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,9 +1,9 @@
-"""Choice of one state for each of several sites: the global minimum of own and pair energies.
+"""Choose one state for each site: the global minimum of self and pair energies.
 
 Goldstein's dead-end elimination (Biophys. J. 66:1335, 1994) and bounds by message passing (Globerson,
-Jaakkola, NIPS 2007) rule out states that the minimum cannot have; what is left falls into components, which
-are solved by elimination of sites, as along a tree decomposition, where its tables are small enough, and else
-by branch and bound, with both again in every branch.
+Jaakkola, NIPS 2007) rule out states that the minimum cannot have. The remaining sites form components. If
+its tables are small enough, a component is solved by elimination of sites, as along a tree decomposition.
+Otherwise branch and bound applies both criteria again in every branch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,147 +18,147 @@ from protochain.structure.sidechains.conflicts import neighbour_tables
 from protochain.structure.sidechains.reduction import SLIGHT, Part, eliminate_dead_ends, raise_bound
 
 _LARGEST = 1_000_000
-"""Entries of a table in the elimination of sites; beyond, branches are smaller."""
+"""Largest number of entries of a table in the elimination of sites. Larger components are branched."""
 _MOST_TABLES = 200_000
-"""Looked at in all branches, some ten seconds."""
+"""Largest number of tables read in all branches, in some ten seconds."""
 _ENTRIES = 500
-"""Entries from which on a table counts as several."""
-_Found = tuple[float, dict[int, int]]
+"""Number of entries from which a table counts as several."""
+_Solution = tuple[float, dict[int, int]]
 
 
 class Assignment(NamedTuple):
-    """The states chosen."""
+    """Chosen states."""
 
     states: Integers  # (n,) int: State of each site.
-    energy: float  # Sum of the own and pair energies.
-    is_proven: bool  # Whether it is the global minimum; if not, the search was ended as too long.
+    energy: float  # Sum of the self and pair energies.
+    is_proven: bool  # Whether it is the global minimum. If not, the search was too long.
 
 
 def assign_states(
-    own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
+    energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
     largest: int = _LARGEST, most_tables: int = _MOST_TABLES,
 ) -> Assignment:  # fmt: skip
-    """Find the states of lowest energy; the same tables give the same states."""
+    """Find the states of lowest energy. Equal tables lead to equal states."""
     everything = Part(
-        tuple(range(len(own))), tuple(np.array(each, dtype=float) for each in own),
-        tuple(np.arange(len(each)) for each in own),
+        tuple(range(len(energies))), tuple(np.array(values, dtype=float) for values in energies),
+        tuple(np.arange(len(values)) for values in energies),
         {ij: np.array(table, dtype=float) for ij, table in pairs.items()}, 0.0,
     )  # fmt: skip
     search = _Search(largest, most_tables)
-    found = search.below(everything, np.inf)
-    assert found is not None
-    states = np.array([found[1][site] for site in range(len(own))], dtype=np.int64)
-    return Assignment(states, _energy(own, pairs, states), not search.is_spent)
+    solution = search.below(everything, np.inf)
+    assert solution is not None
+    states = np.array([solution[1][site] for site in range(len(energies))], dtype=np.int64)
+    return Assignment(states, _energy(energies, pairs, states), not search.is_spent)
 
 
-def eliminate_sites(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
+def eliminate_sites(costs: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
     """(n,) int: states of lowest energy by elimination of sites alone, for few states and loose networks."""
     part = Part(
-        tuple(range(len(own))), tuple(own), tuple(np.arange(len(each)) for each in own), dict(pairs), 0.0
+        tuple(range(len(costs))), tuple(costs), tuple(np.arange(len(c)) for c in costs), dict(pairs), 0.0
     )
-    states = _eliminated(part, _order(part)[0])[1]
-    return np.array([states[site] for site in range(len(own))], dtype=np.int64)
+    states = _eliminate(part, _order(part)[0])[1]
+    return np.array([states[site] for site in range(len(costs))], dtype=np.int64)
 
 
 class _Search:
-    """Branch and bound, counting the tables that it looks at."""
+    """Branch and bound that counts the tables it reads."""
 
     def __init__(self, largest: int, most_tables: int) -> None:
         self.largest, self.left = largest, most_tables
         self.is_spent = False
 
-    def below(self, part: Part, limit: float) -> _Found | None:
-        """Lowest energy and its states, if that is below a limit."""
-        found: _Found | None = None
+    def below(self, part: Part, limit: float) -> _Solution | None:
+        """Return the lowest energy and its states if the energy is below a limit."""
+        solution: _Solution | None = None
         decided: dict[int, int] = {}
         while True:
-            part, more = part.kept(eliminate_dead_ends(part)).undecided()
-            part, decided = raise_bound(part), decided | more
-            energy, states = _guessed(part)
+            part, newly_decided = part.restrict(eliminate_dead_ends(part)).split_decided()
+            part, decided = raise_bound(part), decided | newly_decided
+            energy, states = _initial_guess(part)
             if energy < limit:
-                found, limit = (energy, decided | states), energy - SLIGHT
+                solution, limit = (energy, decided | states), energy - SLIGHT
             bound = part.bound
             if bound >= limit:
-                return found
-            # With any state, the energy is at least the bound and what the state costs more than the best.
-            alive = [bound + own - own.min() < limit for own in part.own]
-            if all(each.all() for each in alive):
+                return solution
+            # With any state, the energy is at least the bound plus the excess of the state over the best one.
+            alive = [bound + energies - energies.min() < limit for energies in part.energies]
+            if all(mask.all() for mask in alive):
                 break
-            part = part.kept(alive)
+            part = part.restrict(alive)
         better = self._in_components(part, limit)
-        return (better[0], decided | better[1]) if better else found
+        return (better[0], decided | better[1]) if better else solution
 
-    def _in_components(self, part: Part, limit: float) -> _Found | None:
+    def _in_components(self, part: Part, limit: float) -> _Solution | None:
         energy, states, slack = part.constant, dict[int, int](), limit - part.bound
-        parts = [replace(part.only(places), constant=0.0) for places in part.components()]
-        # What costs little to know leaves less to search in the others.
-        for each in sorted(parts, key=lambda some: len(some.sites)):
-            found = self._of_component(each, each.bound + slack)
-            if found is None:
+        parts = [replace(part.subset(places), constant=0.0) for places in part.components()]
+        # Energies of small components lower the limits of the larger ones.
+        for component in sorted(parts, key=lambda p: len(p.sites)):
+            solution = self._of_component(component, component.bound + slack)
+            if solution is None:
                 return None
-            energy, states = energy + found[0], states | found[1]
-            slack -= found[0] - each.bound
+            energy, states = energy + solution[0], states | solution[1]
+            slack -= solution[0] - component.bound
         return energy, states
 
-    def _of_component(self, part: Part, limit: float) -> _Found | None:
+    def _of_component(self, part: Part, limit: float) -> _Solution | None:
         order, size = _order(part)
         if size <= self.largest:
-            found = _eliminated(part, order)
-            return found if found[0] < limit else None
-        best_one: _Found | None = None
+            solution = _eliminate(part, order)
+            return solution if solution[0] < limit else None
+        best_solution: _Solution | None = None
         degree = [sum(k in edge for edge in part.pairs) for k in range(len(part.sites))]
-        site = max(range(len(part.sites)), key=lambda k: (degree[k], len(part.own[k]), -k))
-        for state in np.argsort(part.own[site], kind="stable").tolist():
+        site = max(range(len(part.sites)), key=lambda k: (degree[k], len(part.energies[k]), -k))
+        for state in np.argsort(part.energies[site], kind="stable").tolist():
             self.left -= sum(1 + table.size // _ENTRIES for table in part.pairs.values())
             self.is_spent = self.is_spent or self.left < 0
             if self.is_spent:
                 break
-            alive = [np.ones(len(own), dtype=bool) for own in part.own]
-            alive[site] = np.arange(len(part.own[site])) == state
-            found_here = self.below(part.kept(alive), limit)
-            if found_here is not None:
-                best_one, limit = found_here, found_here[0]
-        return best_one
+            alive = [np.ones(len(energies), dtype=bool) for energies in part.energies]
+            alive[site] = np.arange(len(part.energies[site])) == state
+            branch_solution = self.below(part.restrict(alive), limit)
+            if branch_solution is not None:
+                best_solution, limit = branch_solution, branch_solution[0]
+        return best_solution
 
 
-def _guessed(part: Part) -> _Found:
-    """A good energy and its states; it spares most branches."""
-    states = _descended(part.own, part.pairs)
+def _initial_guess(part: Part) -> _Solution:
+    """Return a low energy and its states, which spares most branches."""
+    states = _descend(part.energies, part.pairs)
     used = zip(part.sites, part.states, states.tolist(), strict=True)
-    energy = part.constant + _energy(part.own, part.pairs, states)
-    return energy, {site: int(its[state]) for site, its, state in used}
+    energy = part.constant + _energy(part.energies, part.pairs, states)
+    return energy, {site: int(state_numbers[state]) for site, state_numbers, state in used}
 
 
 def _order(part: Part) -> tuple[list[int], int]:
-    """Order of elimination, the smallest table next, and the size of its largest table."""
-    near = {k: {j for j, _ in its} for k, its in enumerate(neighbour_tables(part.pairs, len(part.sites)))}
-    states = [len(own) for own in part.own]
+    """Return the order of elimination, smallest table next, and the size of its largest table."""
+    near = {k: {j for j, _ in sites} for k, sites in enumerate(neighbour_tables(part.pairs, len(part.sites)))}
+    states = [len(energies) for energies in part.energies]
     order, largest = [], 1
     while near:
-        size, k = min((prod([states[k], *(states[j] for j in its)]), k) for k, its in near.items())
+        size, k = min((prod([states[k], *(states[j] for j in sites)]), k) for k, sites in near.items())
         largest = max(largest, size)
-        its = near.pop(k)
-        for j in its:
-            near[j] = (near[j] | its) - {j, k}
+        sites = near.pop(k)
+        for j in sites:
+            near[j] = (near[j] | sites) - {j, k}
         order.append(k)
     return order, largest
 
 
-def _eliminated(part: Part, order: Sequence[int]) -> _Found:
-    """Lowest energy and its states, by minimising over one site after the other."""
-    factors: list[tuple[tuple[int, ...], Floats]] = [((k,), own) for k, own in enumerate(part.own)]
+def _eliminate(part: Part, order: Sequence[int]) -> _Solution:
+    """Return the lowest energy and its states by minimising over one site after the other."""
+    factors: list[tuple[tuple[int, ...], Floats]] = [((k,), e) for k, e in enumerate(part.energies)]
     factors += part.pairs.items()
     steps: list[tuple[int, tuple[int, ...], Integers]] = []
     energy = part.constant
     for k in order:
-        mine = [factor for factor in factors if k in factor[0]]
+        involved = [factor for factor in factors if k in factor[0]]
         factors = [factor for factor in factors if k not in factor[0]]
-        scope = tuple(sorted({site for its, _ in mine for site in its} - {k}))
-        total = np.zeros([len(part.own[site]) for site in (*scope, k)])
-        for its, table in mine:
+        scope = tuple(sorted({site for sites, _ in involved for site in sites} - {k}))
+        total = np.zeros([len(part.energies[site]) for site in (*scope, k)])
+        for sites, table in involved:
             # Axes in the order of the scope, with k last.
-            axes = sorted(range(len(its)), key=lambda a: (its[a] == k, its[a]))
-            shape = [len(part.own[site]) if site in its else 1 for site in (*scope, k)]
+            axes = sorted(range(len(sites)), key=lambda a: (sites[a] == k, sites[a]))
+            shape = [len(part.energies[site]) if site in sites else 1 for site in (*scope, k)]
             total += table.transpose(axes).reshape(shape)
         steps.append((k, scope, total.argmin(axis=-1)))
         if scope:
@@ -166,20 +166,20 @@ def _eliminated(part: Part, order: Sequence[int]) -> _Found:
         else:
             energy += float(total.min())
     used: dict[int, int] = {}
-    for k, scope, which in reversed(steps):
-        used[k] = int(which[tuple(used[site] for site in scope)])
+    for k, scope, choice in reversed(steps):
+        used[k] = int(choice[tuple(used[site] for site in scope)])
     return energy, {part.sites[k]: int(part.states[k][state]) for k, state in used.items()}
 
 
-def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
-    """States that no change of a single site improves, from the best of each beside those before it."""
-    partners = neighbour_tables(pairs, len(own))
-    states, improves = np.full(len(own), -1), True
+def _descend(energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
+    """Return states that no change of one site improves. Each starts at its best after earlier sites."""
+    partners = neighbour_tables(pairs, len(energies))
+    states, improves = np.full(len(energies), -1), True
     while improves:
         improves = False
-        for i, mine in enumerate(own):
-            cost = mine + sum(
-                (table[:, states[j]] for j, table in partners[i] if states[j] >= 0), np.zeros(len(mine))
+        for i, self_costs in enumerate(energies):
+            cost = self_costs + sum(
+                (table[:, states[j]] for j, table in partners[i] if states[j] >= 0), np.zeros(len(self_costs))
             )
             k = int(np.argmin(cost))
             if states[i] < 0 or cost[k] < cost[states[i]] - SLIGHT:
@@ -187,6 +187,6 @@ def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -
     return states
 
 
-def _energy(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], states: Integers) -> float:
-    alone = sum(float(each[state]) for each, state in zip(own, states, strict=True))
+def _energy(energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], states: Integers) -> float:
+    alone = sum(float(values[state]) for values, state in zip(energies, states, strict=True))
     return alone + sum(float(table[states[i], states[j]]) for (i, j), table in pairs.items())

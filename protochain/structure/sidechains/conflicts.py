@@ -1,4 +1,4 @@
-"""Which of several side chains may touch, and the tables of their conformers' pair energies."""
+"""Pairs of side chains that may touch, and tables of the pair energies of their conformers."""
 
 from collections.abc import Mapping, Sequence
 
@@ -27,9 +27,9 @@ def sphere(x: Floats) -> tuple[Floats, float]:
 
 
 def neighbour_tables(pairs: Mapping[tuple[int, int], Floats], n: int) -> list[list[tuple[int, Floats]]]:
-    """For each of n sites those that it interacts with, and the tables, its own states in the rows."""
-    found: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
+    """Return the partners and tables of each of n sites, with the states of that site in the rows."""
+    tables: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
     for (i, j), table in pairs.items():
-        found[i].append((j, table))
-        found[j].append((i, table.T))
-    return found
+        tables[i].append((j, table))
+        tables[j].append((i, table.T))
+    return tables

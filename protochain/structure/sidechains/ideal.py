@@ -1,7 +1,7 @@
 """Side chains built atom by atom from ideal bond lengths, angles and dihedrals.
 
-C-beta goes where N, CA and C put it in an L-amino acid; the others follow from PeptideBuilder's geometries
-(Tien, Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013). D-amino acids are built in the mirror, by their callers.
+N, CA and C place C-beta as in an L-amino acid. PeptideBuilder's geometries place the other atoms (Tien,
+Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013). Callers build D-amino acids as mirror images.
 """
 
 from collections.abc import Mapping
@@ -30,8 +30,8 @@ _CORRECTED = {
     },
     "TYR": {"CG_CD1_CE1_angle": 121.2, "CG_CD2_CE2_angle": 121.2, "CD1_CE1_CZ_angle": 119.6},
 }  # fmt: skip
-"""Where PeptideBuilder 1.1 differs from crystals: CD1 and CD2 exchanged, lysine's amine planar, and rings
-that close by short bonds (their angles here are those of Engh, Huber, Acta Cryst. A47:392, 1991)."""
+"""Differences of PeptideBuilder 1.1 from crystals: exchanged CD1 and CD2, lysine's planar amine, and rings
+closed by short bonds (the angles here are from Engh, Huber, Acta Cryst. A47:392, 1991)."""
 _BACKBONE = ("N", "CA", "C", "O")
 
 
@@ -58,13 +58,13 @@ class Ideal:
     chi: tuple[float, ...]  # rad.
 
     def within(self, name: str, n: int) -> set[str]:
-        """Names of the atoms at most n bonds from an atom, which is left out."""
+        """Names of the atoms within n bonds of an atom, without the atom."""
         return within(self.bonds, name, n) - {name}
 
 
 @cache
 def ideal(residue: str) -> Ideal:
-    """Ideal geometry of one of the 20 standard residues."""
+    """Return the ideal geometry of one of the 20 standard residues."""
     # Imported here: it imports Biopython, which would slow every start of the program.
     import PeptideBuilder
 
@@ -86,16 +86,16 @@ def ideal(residue: str) -> Ideal:
     branches = tuple(
         Branch(
             name, element[name], before[name], float(np.linalg.norm(x[before[name][2]] - x[name])),
-            _angle(*(x[each] for each in (*before[name][1:], name))),
-            float(dihedral(*(x[each] for each in (*before[name], name)))), turning.get(before[name][1:]),
+            _angle(*(x[n] for n in (*before[name][1:], name))),
+            float(dihedral(*(x[n] for n in (*before[name], name)))), turning.get(before[name][1:]),
         )
         for name in order[1:]
     )  # fmt: skip
-    return Ideal(x, bonds, branches, tuple(float(dihedral(*(x[each] for each in q))) for q in quartets))
+    return Ideal(x, bonds, branches, tuple(float(dihedral(*(x[n] for n in q))) for q in quartets))
 
 
 def conformers(residue: str, *backbone: float) -> tuple[Floats, Floats]:
-    """Dihedrals (n, n_chi), rad, and frequencies (n,) of conformers; proline's are its ring's two puckers."""
+    """Dihedrals (n, n_chi), rad, and frequencies (n,) of conformers. Proline has two ring puckers."""
     chi, frequency = rotamers(residue, *backbone)
     if residue == "PRO":
         pucker = np.array(ideal(residue).chi)
@@ -103,71 +103,71 @@ def conformers(residue: str, *backbone: float) -> tuple[Floats, Floats]:
     return (chi, frequency) if len(chi) else (np.zeros((1, 0)), np.ones(1))
 
 
-def fixed_chi(residue: str, known: Mapping[str, Floats]) -> dict[int, float]:
-    """Dihedrals, rad, by index of chi, that the atoms in place determine."""
+def fixed_chi(residue: str, present: Mapping[str, Floats]) -> dict[int, float]:
+    """Dihedrals, rad, by index of chi, that the present atoms determine."""
     geometry = ideal(residue)
-    found: dict[int, float] = {}
+    angles: dict[int, float] = {}
     for branch in geometry.branches:
         quartet = (*branch.before, branch.name)
-        if branch.chi is not None and branch.chi not in found and all(name in known for name in quartet):
-            turn = float(dihedral(*(known[name] for name in quartet))) - branch.dihedral
-            found[branch.chi] = geometry.chi[branch.chi] + turn
-    return found
+        if branch.chi is not None and branch.chi not in angles and all(name in present for name in quartet):
+            turn = float(dihedral(*(present[name] for name in quartet))) - branch.dihedral
+            angles[branch.chi] = geometry.chi[branch.chi] + turn
+    return angles
 
 
-def build_atoms(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
-    """Place the missing atoms of a side chain for dihedrals (n, n_chi), rad; angstrom."""
+def build_atoms(residue: str, present: Mapping[str, Floats], chi: Floats) -> Places:
+    """Place the missing atoms of a side chain, angstrom, for dihedrals (n, n_chi), rad."""
     geometry, n = ideal(residue), len(chi)
-    at: Places = dict(known)
+    at: Places = dict(present)
     if "CB" in geometry.x and "CB" not in at:
-        at["CB"] = beta_carbon(residue, known)
+        at["CB"] = beta_carbon(residue, present)
     for branch in geometry.branches:
         if branch.name in at:
             continue
         turn = np.full(n, branch.dihedral)
-        beside = [each for each in geometry.branches if each.before == branch.before and each.name in known]
+        siblings = [s for s in geometry.branches if s.before == branch.before and s.name in present]
         a, b, c = (at[name] for name in branch.before)
-        if beside:
-            turn = turn + dihedral(a, b, c, known[beside[0].name]) - beside[0].dihedral
+        if siblings:
+            turn = turn + dihedral(a, b, c, present[siblings[0].name]) - siblings[0].dihedral
         elif branch.chi is not None:
-            # Those that are planar, chi5 of arginine, are not given.
-            given = chi[:, branch.chi] if branch.chi < chi.shape[1] else 0.0
-            turn = turn + given - geometry.chi[branch.chi]
+            # Planar dihedrals (chi5 of arginine) are not in chi.
+            value = chi[:, branch.chi] if branch.chi < chi.shape[1] else 0.0
+            turn = turn + value - geometry.chi[branch.chi]
         at[branch.name] = place_points(a, b, c, branch.length, branch.angle, turn)
-    return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in known}
+    return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in present}
 
 
-def beta_carbon(residue: str, known: Mapping[str, Floats]) -> Floats:
+def beta_carbon(residue: str, present: Mapping[str, Floats]) -> Floats:
     """(3,) float, angstrom: CB of an L-amino acid at N, CA and C."""
     x = ideal(residue).x
-    frame, own = _frame(known), _frame(x)
-    return np.asarray(known["CA"] + frame.T @ (own @ (x["CB"] - x["CA"])))
+    frame, ideal_frame = _frame(present), _frame(x)
+    return np.asarray(present["CA"] + frame.T @ (ideal_frame @ (x["CB"] - x["CA"])))
 
 
-def bridge_gaps(residue: str, known: Mapping[str, Floats]) -> Places:
-    """Place atoms between atoms that are there, by distances within two bonds; angstrom, or empty."""
-    geometry, found = ideal(residue), dict(known)
+def bridge_gaps(residue: str, present: Mapping[str, Floats]) -> Places:
+    """Place missing atoms between present ones, angstrom, by distances within two bonds."""
+    geometry, positions = ideal(residue), dict(present)
     chi, _ = conformers(residue)
     before = {branch.name: branch.before for branch in geometry.branches}
     outward = [*before]
     for place, name in enumerate([n for n in ["CB", *outward] if n in geometry.x]):
-        beyond = [n for n in geometry.within(name, 2) if n in outward[place:] and n in known]
-        # Of two atoms on the same one the one follows from the other.
+        beyond = [n for n in geometry.within(name, 2) if n in outward[place:] and n in present]
+        # Atoms with the same parents determine one another.
         beyond = [n for n in beyond if name not in before or before[name] != before[n]]
-        if name in found or not beyond:
+        if name in positions or not beyond:
             continue
-        near = sorted(n for n in geometry.within(name, 2) if n in found)
+        near = sorted(n for n in geometry.within(name, 2) if n in positions)
         target = np.array([np.linalg.norm(geometry.x[n] - geometry.x[name]) for n in near])
-        fixed = np.array([found[n] for n in near])
-        starts = build_atoms(residue, found, chi)[name]
+        fixed = np.array([positions[n] for n in near])
+        starts = build_atoms(residue, positions, chi)[name]
         misfit = np.linalg.norm(starts[:, None] - fixed, axis=2) - target
         start = starts[int(np.argmin(np.round((misfit**2).sum(axis=1), 6)))]
-        found[name] = _at_distances(fixed, target, start)
-    return {name: x for name, x in found.items() if name not in known}
+        positions[name] = _at_distances(fixed, target, start)
+    return {name: x for name, x in positions.items() if name not in present}
 
 
 def _at_distances(fixed: Floats, target: Floats, start: Floats) -> Floats:
-    """(3,) float: the point near a start whose distances to others fit best."""
+    """(3,) float: the point near a start whose distances to other points fit best."""
     from scipy.optimize import least_squares
 
     def misfit(x: Floats) -> Floats:
@@ -187,7 +187,7 @@ def place_points(
     a: Floats, b: Floats, c: Floats, length: float | Floats, angle: float | Floats, turn: Floats
 ) -> Floats:
     """Place points (n, 3) at a distance from c, an angle with b and dihedrals (n,) with a."""
-    length, angle, turn = (np.asarray(each)[..., None] for each in (length, angle, turn))
+    length, angle, turn = (np.asarray(value)[..., None] for value in (length, angle, turn))
     along = unit(c - b)
     normal = unit(cross(b - a, along))
     aside = cross(normal, along)
@@ -196,7 +196,7 @@ def place_points(
 
 
 def unit(v: Floats) -> Floats:
-    """Unit vectors of (..., 3), zero where there is no direction."""
+    """Unit vectors of (..., 3). Zero vectors stay zero."""
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9))
 
 

@@ -1,9 +1,8 @@
-"""Choice of the conformers of rebuilt side chains: the combination of lowest energy, all at once.
+"""Choose the conformers of all rebuilt side chains at once: the combination of lowest energy.
 
-Each residue takes a rotamer of its backbone, turned by up to 9 degrees about chi1; then all are turned about
-chi1 and chi2 once more, from where they are. Both times it is the combination of lowest energy of
-``packing_energies`` that is taken, and a disulfide bond where two cysteines allow one. The same coordinates
-give the same choice.
+The first step chooses rotamers for the backbone, turned by up to 9 degrees about chi1. The second step turns
+the chosen conformers about chi1 and chi2. Both steps minimise the energy of ``packing_energies``, with a
+disulfide bond if two cysteines allow one. Equal coordinates lead to equal choices.
 """
 
 from collections import defaultdict
@@ -26,17 +25,17 @@ from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarit
 from protochain.structure.sidechains.sites import Site
 
 _APART = 3
-"""Bonds: atoms no further apart along the chain do not touch."""
+"""Bonds. Atoms at most so many bonds apart do not interact."""
 _TURN, _FINER = np.deg2rad(9.0), np.deg2rad(8.0)
-"""About chi1 of a rotamer, and then about chi1 and chi2."""
+"""Rad. Turns about chi1 of a rotamer in the first step, and about chi1 and chi2 in the second."""
 _TURNED = np.deg2rad(9.5)
-"""A turn of this size costs a half."""
+"""Rad. A turn of this size costs 0.5."""
 _MANY = frozenset({"ARG", "GLN", "GLU", "LYS", "PRO", "SER"})
-"""Residues whose rotamers are not turned at first: there are many, or they are puckers of a ring."""
+"""Residues without turns in the first step. They have many rotamers, or ring puckers."""
 _HOPELESS = 20.0
-"""Conformers that cost so much more than the best, without the other side chains, are left out."""
+"""Largest cost above the best conformer, without the other side chains."""
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
-"""Angstrom, angstrom, -: a disulfide bond, its deviation, and what it gains."""
+"""Angstrom, angstrom, -: a disulfide bond, its deviation, and its gain."""
 _BETAS = (3.2, 4.7)
 """Angstrom: least and largest distance of the CB across a disulfide bond."""
 
@@ -49,37 +48,36 @@ class Choices:
     names: tuple[str, ...]  # Its missing atoms.
     chi: Floats  # (n, n_chi) rad.
     x: Floats  # (n, n_atoms, 3) angstrom.
-    cost: Floats  # (n,): Without the other residues that are built.
+    cost: Floats  # (n,): Without the other rebuilt residues.
 
 
 class Packing(NamedTuple):
-    """Side chains that were packed."""
+    """Packed side chains."""
 
     places: list[Places]  # angstrom: The missing atoms of each site.
-    # Whether no other combination of the conformers tried has a lower energy; if not, the search was too
-    # long.
+    # Whether no combination of the tried conformers has a lower energy. If not, the search was too long.
     is_proven: bool
 
 
 def pack(members: Sequence[Member], sites: Sequence[Site]) -> Packing:
     """Place the missing side-chain atoms of residues."""
-    here = _Surroundings(members)
-    choices = [_choices(site, here, *candidate_conformers(site)) for site in sites]
-    first = _settled(choices)
+    surroundings = _Surroundings(members)
+    choices = [_choices(site, surroundings, *candidate_conformers(site)) for site in sites]
+    first = _choose_conformers(choices)
     finer = [
-        _choices(each.site, here, *_turned(each, state))
-        for each, state in zip(choices, first.states.tolist(), strict=True)
+        _choices(choice.site, surroundings, *_turns_about(choice, state))
+        for choice, state in zip(choices, first.states.tolist(), strict=True)
     ]
-    last = _settled(finer)
+    last = _choose_conformers(finer)
     places = [
-        dict(zip(each.names, each.x[k], strict=True))
-        for each, k in zip(finer, last.states.tolist(), strict=True)
+        dict(zip(choice.names, choice.x[k], strict=True))
+        for choice, k in zip(finer, last.states.tolist(), strict=True)
     ]
     return Packing(places, first.is_proven and last.is_proven)
 
 
 def candidate_conformers(site: Site) -> tuple[Floats, Floats]:
-    """Dihedrals and costs of the conformers; those unlike the dihedrals of atoms in place cost more."""
+    """Return dihedrals and costs of conformers. Deviations from dihedrals of present atoms add costs."""
     name = site.member.name
     chi, frequency = conformers(name, *site.backbone)
     if name == "CYS":
@@ -90,46 +88,46 @@ def candidate_conformers(site: Site) -> tuple[Floats, Floats]:
     cost = rarity(name, frequency)
     if name not in _MANY and name != "CYS" and chi.shape[1]:
         chi, cost = dihedral_grid(chi, cost, (0.0, -_TURN, _TURN), 1, _TURNED)
-    for k, value in fixed_chi(name, site.known).items():
+    for k, value in fixed_chi(name, site.heavy_positions).items():
         if k < chi.shape[1]:
             cost = cost + 0.5 * (wrap_angle(chi[:, k] - value) / WIDTH) ** 2
     return chi, cost
 
 
-def _turned(each: Choices, state: int) -> tuple[Floats, Floats]:
-    """Dihedrals and costs about a conformer."""
-    chi = each.chi[[state]]
-    n = 0 if each.site.member.name == "PRO" else min(2, chi.shape[1])
+def _turns_about(choices: Choices, state: int) -> tuple[Floats, Floats]:
+    """Return dihedrals around a conformer and their costs."""
+    chi = choices.chi[[state]]
+    n = 0 if choices.site.member.name == "PRO" else min(2, chi.shape[1])
     return dihedral_grid(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURNED)
 
 
-def _choices(site: Site, here: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
-    built = build_atoms(site.member.name, site.known, chi)
+def _choices(site: Site, surroundings: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
+    built = build_atoms(site.member.name, site.heavy_positions, chi)
     names = tuple(built)
     x = site.sign * np.stack([built[name] for name in names], axis=1)
-    cost = cost + here.felt(site, names, x)
+    cost = cost + surroundings.energies(site, names, x)
     hopeful = cost <= cost.min() + _HOPELESS
     return Choices(site, names, chi[hopeful], np.ascontiguousarray(x[hopeful]), cost[hopeful])
 
 
-def _settled(choices: Sequence[Choices]) -> Assignment:
-    """Conformer of each residue."""
+def _choose_conformers(choices: Sequence[Choices]) -> Assignment:
+    """Choose the conformer of each residue."""
     tables = {}
-    for i, j in touching([each.x for each in choices], REACH):
-        found = _between(choices[i], choices[j])
-        if found.any():
-            tables[i, j] = found
-    return assign_states([each.cost for each in choices], tables)
+    for i, j in touching([choice.x for choice in choices], REACH):
+        energies = _pair_energies(choices[i], choices[j])
+        if energies.any():
+            tables[i, j] = energies
+    return assign_states([choice.cost for choice in choices], tables)
 
 
-def _between(one: Choices, other: Choices) -> Floats:
-    contact, depth = _kinds(one).beside(_kinds(other))
-    if "SG" not in one.names or "SG" not in other.names:
-        return table(one.x, other.x, contact, depth)
-    i, j = one.names.index("SG"), other.names.index("SG")
-    apart = np.linalg.norm(one.x[:, None, i] - other.x[None, :, j], axis=-1)
-    bond = _disulfide(apart, float(np.linalg.norm(_beta(one) - _beta(other))))
-    return np.asarray(table(one.x, other.x, contact, depth) + bond)
+def _pair_energies(first: Choices, second: Choices) -> Floats:
+    contact, depth = _kinds(first).pair_parameters(_kinds(second))
+    if "SG" not in first.names or "SG" not in second.names:
+        return table(first.x, second.x, contact, depth)
+    i, j = first.names.index("SG"), second.names.index("SG")
+    distance = np.linalg.norm(first.x[:, None, i] - second.x[None, :, j], axis=-1)
+    bond = _disulfide(distance, float(np.linalg.norm(_beta(first) - _beta(second))))
+    return np.asarray(table(first.x, second.x, contact, depth) + bond)
 
 
 def _kinds(choices: Choices) -> Kinds:
@@ -137,14 +135,14 @@ def _kinds(choices: Choices) -> Kinds:
 
 
 def _beta(choices: Choices) -> Floats:
-    """(3,) float, angstrom: CB, in place or built."""
+    """(3,) float, angstrom: CB, present or built."""
     if "CB" in choices.names:
         return np.asarray(choices.x[0, choices.names.index("CB")])
-    return choices.site.sign * choices.site.known["CB"]
+    return choices.site.sign * choices.site.heavy_positions["CB"]
 
 
 class _Surroundings:
-    """Heavy atoms that are there."""
+    """Present heavy atoms."""
 
     def __init__(self, members: Sequence[Member]) -> None:
         heavy = [(m, atom) for m in members for atom in m.heavy]
@@ -156,61 +154,61 @@ class _Surroundings:
         ]
         self.tree = KDTree(self.x)
 
-    def felt(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
-        """Energies (n,) of conformers x (n, n_atoms, 3) with the atoms of others that are there."""
+    def energies(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
+        """Energies (n,) of conformers x (n, n_atoms, 3) with the present atoms of other residues."""
         centre = x.reshape(-1, 3).mean(axis=0)
         reach = np.linalg.norm(x - centre, axis=2).max() + REACH
         near = np.array(sorted(self.tree.query_ball_point(centre, reach)), dtype=np.int64)
         near = near[self.owner[near] != id(site.member)]
         if not len(near):
             return np.zeros(len(x))
-        joined = _joined(site)
+        excluded = _nearby(site)
         atoms = list(zip(self.owner[near].tolist(), self.name[near].tolist(), strict=True))
-        free = np.array([[atom not in joined[name] for atom in atoms] for name in names])
-        mine = Kinds([(site.member.name, name, "") for name in names])
-        contact, depth = mine.beside(Kinds([self.kinds[k] for k in near]))
-        felt = table(x, self.x[near][None], np.where(free, contact, 0.0), depth)[:, 0]
+        free = np.array([[atom not in excluded[name] for atom in atoms] for name in names])
+        site_kinds = Kinds([(site.member.name, name, "") for name in names])
+        contact, depth = site_kinds.pair_parameters(Kinds([self.kinds[k] for k in near]))
+        energy = table(x, self.x[near][None], np.where(free, contact, 0.0), depth)[:, 0]
         if "SG" in names:
-            apart = np.linalg.norm(x[:, names.index("SG"), None] - self.x[near], axis=-1)
-            beta = x[0, names.index("CB")] if "CB" in names else site.sign * site.known["CB"]
+            distances = np.linalg.norm(x[:, names.index("SG"), None] - self.x[near], axis=-1)
+            beta = x[0, names.index("CB")] if "CB" in names else site.sign * site.heavy_positions["CB"]
             for k, betas in self._sulphurs(site, near, beta):
-                felt += _disulfide(apart[:, k], betas)
-        return np.asarray(felt)
+                energy += _disulfide(distances[:, k], betas)
+        return np.asarray(energy)
 
     def _sulphurs(self, site: Site, near: Integers, beta: Floats) -> list[tuple[int, float]]:
-        """Unbonded sulphurs of other cysteines among the near atoms, with the distances of the CB."""
-        found = []
+        """Unbonded sulphurs of other cysteines among the near atoms, with the CB-CB distances."""
+        sulphurs = []
         for k, atom in enumerate(near):
             if self.name[atom] == "SG" and self.owner[atom] != id(site.member):
                 partners = self.tree.query_ball_point(self.x[atom], 2.5)
-                other = np.flatnonzero((self.owner == self.owner[atom]) & (self.name == "CB"))
-                if sum(self.name[p] == "SG" for p in partners) == 1 and len(other):
-                    found.append((k, float(np.linalg.norm(self.x[other[0]] - beta))))
-        return found
+                beta_atoms = np.flatnonzero((self.owner == self.owner[atom]) & (self.name == "CB"))
+                if sum(self.name[p] == "SG" for p in partners) == 1 and len(beta_atoms):
+                    sulphurs.append((k, float(np.linalg.norm(self.x[beta_atoms[0]] - beta))))
+        return sulphurs
 
 
-def _joined(site: Site) -> dict[str, set[tuple[int, str]]]:
-    """Atoms (owner, name) that are within few bonds of each side-chain atom, and the atom itself."""
-    own, bonds = id(site.member), defaultdict[tuple[int, str], set[tuple[int, str]]](set)
+def _nearby(site: Site) -> dict[str, set[tuple[int, str]]]:
+    """Atoms (owner, name) within few bonds of each side-chain atom, which is included."""
+    owner, bonds = id(site.member), defaultdict[tuple[int, str], set[tuple[int, str]]](set)
 
     def join(a: tuple[int, str], b: tuple[int, str]) -> None:
         bonds[a].add(b)
         bonds[b].add(a)
 
-    for name, others in ideal(site.member.name).bonds.items():
-        for other in others:
-            join((own, name), (own, other))
+    for name, partners in ideal(site.member.name).bonds.items():
+        for partner in partners:
+            join((owner, name), (owner, partner))
     if site.before:
-        for other in ("CA", "O", "N"):
-            join((id(site.before), "C"), (id(site.before), other) if other != "N" else (own, "N"))
+        for partner in ("CA", "O", "N"):
+            join((id(site.before), "C"), (id(site.before), partner) if partner != "N" else (owner, "N"))
     if site.after:
-        join((own, "C"), (id(site.after), "N"))
+        join((owner, "C"), (id(site.after), "N"))
         join((id(site.after), "N"), (id(site.after), "CA"))
-    return {name: within(bonds, (own, name), _APART) for name in ideal(site.member.name).x}
+    return {name: within(bonds, (owner, name), _APART) for name in ideal(site.member.name).x}
 
 
-def _disulfide(apart: Floats, betas: float) -> Floats:
-    """Cost of two sulphurs at a distance: a bond where the backbones allow one."""
+def _disulfide(distance: Floats, betas: float) -> Floats:
+    """Cost of two sulphurs at a distance, negative for a bond if the backbones allow one."""
     if not _BETAS[0] < betas < _BETAS[1]:
-        return np.zeros_like(apart)
-    return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((apart - _BOND) / _BOND_WIDTH) ** 2))
+        return np.zeros_like(distance)
+    return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((distance - _BOND) / _BOND_WIDTH) ** 2))

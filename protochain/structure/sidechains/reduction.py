@@ -1,7 +1,7 @@
-"""What is left of the states of sites, and ways to rule out states that no minimum has.
+"""Remaining states of sites, and criteria that rule out states that no minimum has.
 
 Goldstein's dead-end elimination: Biophys. J. 66:1335 (1994). Bounds by message passing: Globerson, Jaakkola,
-NIPS 2007 (the energies only move between tables: no sum of them changes).
+NIPS 2007 (energies move between tables, and no sum of them changes).
 """
 
 from collections.abc import Sequence
@@ -14,176 +14,176 @@ from protochain.core.compilation import njit
 from protochain.structure.sidechains.conflicts import Pairs, neighbour_tables
 
 SLIGHT = 1e-9
-"""kJ/mol: round-off of energies; a smaller spread is none."""
+"""kJ/mol. Round-off of energies. A smaller spread counts as zero."""
 _ROUNDS = 30
-"""Rounds of message passing for a bound; they end when it hardly rises."""
+"""Largest number of rounds of message passing. They end when the bound hardly rises."""
 _RISE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Sites, and the states of them that are left."""
+    """Sites and their remaining states."""
 
-    sites: tuple[int, ...]  # As in the whole.
-    own: tuple[Floats, ...]
-    states: tuple[Integers, ...]  # As in the whole.
+    sites: tuple[int, ...]  # Numbers in the whole problem.
+    energies: tuple[Floats, ...]  # Self energies of the states.
+    states: tuple[Integers, ...]  # Numbers in the whole problem.
     pairs: Pairs  # By places in ``sites``.
-    constant: float  # Energy of all that was decided.
+    constant: float  # Energy of the decided sites.
 
-    def kept(self, alive: Sequence[np.ndarray]) -> "Part":
-        """Only these states (n_i,) bool of each site."""
-        if all(each.all() for each in alive):
+    def restrict(self, alive: Sequence[np.ndarray]) -> "Part":
+        """Return the part with only these states (n_i,) bool of each site."""
+        if all(mask.all() for mask in alive):
             return self
-        own, states = (
-            tuple(values[keep] for values, keep in zip(each, alive, strict=True))
-            for each in (self.own, self.states)
+        energies, states = (
+            tuple(values[keep] for values, keep in zip(arrays, alive, strict=True))
+            for arrays in (self.energies, self.states)
         )
         pairs = {(i, j): table[np.ix_(alive[i], alive[j])] for (i, j), table in self.pairs.items()}
-        return Part(self.sites, own, states, pairs, self.constant)
+        return Part(self.sites, energies, states, pairs, self.constant)
 
-    def undecided(self) -> tuple["Part", dict[int, int]]:
-        """The sites with several states left, and the state of each of the others."""
-        decided = {k for k, own in enumerate(self.own) if len(own) == 1}
-        own, constant, pairs = list(self.own), self.constant, {}
+    def split_decided(self) -> tuple["Part", dict[int, int]]:
+        """Return the part of the sites with several states, and the state of each other site."""
+        decided = {k for k, energies in enumerate(self.energies) if len(energies) == 1}
+        energies, constant, pairs = list(self.energies), self.constant, {}
         for (i, j), table in self.pairs.items():
             if i in decided and j in decided:
                 constant += float(table[0, 0])
             elif i in decided:
-                own[j] = own[j] + table[0]
+                energies[j] = energies[j] + table[0]
             elif j in decided:
-                own[i] = own[i] + table[:, 0]
+                energies[i] = energies[i] + table[:, 0]
             else:
                 pairs[i, j] = table
-        constant += sum(float(own[k][0]) for k in decided)
+        constant += sum(float(energies[k][0]) for k in decided)
         left = [k for k in range(len(self.sites)) if k not in decided]
-        part = Part(self.sites, tuple(own), self.states, pairs, constant).only(left)
+        part = Part(self.sites, tuple(energies), self.states, pairs, constant).subset(left)
         return part, {self.sites[k]: int(self.states[k][0]) for k in sorted(decided)}
 
     @property
     def bound(self) -> float:
-        """What no energy is below."""
-        return self.constant + sum(float(each.min()) for each in (*self.own, *self.pairs.values()))
+        """Lower bound of the energy."""
+        return self.constant + sum(float(table.min()) for table in (*self.energies, *self.pairs.values()))
 
-    def only(self, places: Sequence[int]) -> "Part":
-        """These sites, and the tables among them."""
+    def subset(self, places: Sequence[int]) -> "Part":
+        """Return the part of these sites, with the tables between them."""
         at = {k: new for new, k in enumerate(places)}
         return Part(
-            tuple(self.sites[k] for k in places), tuple(self.own[k] for k in places),
+            tuple(self.sites[k] for k in places), tuple(self.energies[k] for k in places),
             tuple(self.states[k] for k in places),
             {(at[i], at[j]): table for (i, j), table in self.pairs.items() if i in at and j in at},
             self.constant,
         )  # fmt: skip
 
     def components(self) -> list[list[int]]:
-        """Places of the sites that hang together."""
+        """Places of the sites of each connected component."""
         group = list(range(len(self.sites)))
         for i, j in self.pairs:
-            group = [group[i] if each == group[j] else each for each in group]
-        return [[k for k, each in enumerate(group) if each == one] for one in dict.fromkeys(group)]
+            group = [group[i] if label == group[j] else label for label in group]
+        return [[k for k, label in enumerate(group) if label == one] for one in dict.fromkeys(group)]
 
 
 def eliminate_dead_ends(part: Part) -> list[np.ndarray]:
-    """States (n_i,) bool of each site that Goldstein's criterion leaves."""
-    alive = [np.ones(len(own), dtype=bool) for own in part.own]
+    """Find the states (n_i,) bool of each site that pass Goldstein's criterion."""
+    alive = [np.ones(len(energies), dtype=bool) for energies in part.energies]
     partners = neighbour_tables(part.pairs, len(part.sites))
     waiting = dict.fromkeys(range(len(part.sites)))
     while waiting:
         i = next(iter(waiting))
         del waiting[i]
-        mine = np.flatnonzero(alive[i])
+        candidates = np.flatnonzero(alive[i])
         tables = [table[np.ix_(alive[i], alive[j])] for j, table in partners[i]]
         starts = np.cumsum([0, *(table.shape[1] for table in tables)])
-        rows = np.ascontiguousarray(np.hstack([np.zeros((len(mine), 0)), *tables]))
-        left = _goldstein(part.own[i][mine], rows, starts)
+        rows = np.ascontiguousarray(np.hstack([np.zeros((len(candidates), 0)), *tables]))
+        left = _goldstein(part.energies[i][candidates], rows, starts)
         if not left.all():
-            alive[i][mine[~left]] = False
+            alive[i][candidates[~left]] = False
             waiting |= dict.fromkeys([i, *(j for j, _ in partners[i])])
     return alive
 
 
 @njit(cache=True)
-def _goldstein(own: Floats, rows: Floats, starts: Integers) -> np.ndarray:
-    """(n,) bool: states that none beats, by pair energies ``rows`` of neighbours from column starts[k] on."""
-    n, n_beside = len(own), len(starts) - 1
-    least, most = own.copy(), own.copy()
+def _goldstein(energies: Floats, rows: Floats, starts: Integers) -> np.ndarray:
+    """(n,) bool: undominated states, by pair energies ``rows`` of neighbour k from column starts[k] on."""
+    n, n_neighbours = len(energies), len(starts) - 1
+    lowest, highest = energies.copy(), energies.copy()
     for r in range(n):
-        for k in range(n_beside):
+        for k in range(n_neighbours):
             low, high = np.inf, -np.inf
             for c in range(starts[k], starts[k + 1]):
                 low, high = min(low, rows[r, c]), max(high, rows[r, c])
-            least[r] += low
-            most[r] += high
+            lowest[r] += low
+            highest[r] += high
     left = np.ones(n, dtype=np.bool_)
     for r in range(n):
         for t in range(n):
-            if t == r or not left[t] or most[r] < least[t]:
+            if t == r or not left[t] or highest[r] < lowest[t]:
                 continue
-            more = own[r] - own[t]
-            for k in range(n_beside):
+            excess = energies[r] - energies[t]
+            for k in range(n_neighbours):
                 low = np.inf
                 for c in range(starts[k], starts[k + 1]):
                     low = min(low, rows[r, c] - rows[t, c])
-                more += low
+                excess += low
             # Of equal ones, the first stays.
-            if more > SLIGHT or (t < r and more >= 0.0):
+            if excess > SLIGHT or (t < r and excess >= 0.0):
                 left[r] = False
                 break
     return left
 
 
 def raise_bound(part: Part) -> Part:
-    """The same energies, moved between tables so that the sum of their minima rises."""
+    """Return the same energies, moved between tables to raise the sum of their minima."""
     if not part.pairs:
         return part
-    first = np.cumsum([0, *map(len, part.own)])
+    first = np.cumsum([0, *map(len, part.energies)])
     start = np.cumsum([0, *(table.size for table in part.pairs.values())])
-    own = np.concatenate(part.own)
+    energies = np.concatenate(part.energies)
     tables = np.concatenate([table.ravel() for table in part.pairs.values()])
-    _pass_messages(own, first, tables, start, np.array(list(part.pairs)))
+    _pass_messages(energies, first, tables, start, np.array(list(part.pairs)))
     pairs = {
-        (i, j): tables[begin:end].reshape(len(part.own[i]), len(part.own[j]))
+        (i, j): tables[begin:end].reshape(len(part.energies[i]), len(part.energies[j]))
         for (i, j), begin, end in zip(part.pairs, start, start[1:], strict=False)
         if tables[begin:end].max() >= SLIGHT
     }
-    return Part(part.sites, tuple(np.split(own, first[1:-1])), part.states, pairs, part.constant)
+    return Part(part.sites, tuple(np.split(energies, first[1:-1])), part.states, pairs, part.constant)
 
 
 @njit(cache=True)
-def _pass_messages(own: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
-    """Share what each table and its two sites have together equally between the sites, again and again."""
-    # Site i has own[first[i]:first[i + 1]]. In the end the least of each row and column of a table is its
-    # sites', so that a separable table is zero.
+def _pass_messages(single: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
+    """Repeatedly divide the energies of each table and its two sites equally between the sites."""
+    # Site i has single[first[i]:first[i + 1]]. Minima of rows and columns of a table finally move to its
+    # sites, so that a separable table is zero.
     before = -np.inf
     for turn in range(_ROUNDS + 1):
         bound, is_last = 0.0, turn == _ROUNDS
         for e in range(len(edges)):
-            one = own[first[edges[e, 0]] : first[edges[e, 0] + 1]]
-            other = own[first[edges[e, 1]] : first[edges[e, 1] + 1]]
-            table = tables[start[e] : start[e + 1]].reshape(len(one), len(other))
+            rows = single[first[edges[e, 0]] : first[edges[e, 0] + 1]]
+            columns = single[first[edges[e, 1]] : first[edges[e, 1] + 1]]
+            table = tables[start[e] : start[e + 1]].reshape(len(rows), len(columns))
             if not is_last:
-                for r in range(len(one)):
-                    for s in range(len(other)):
-                        table[r, s] += one[r] + other[s]
-                least = np.full(len(other), np.inf)
-                for r in range(len(one)):
+                for r in range(len(rows)):
+                    for s in range(len(columns)):
+                        table[r, s] += rows[r] + columns[s]
+                least = np.full(len(columns), np.inf)
+                for r in range(len(rows)):
                     low = np.inf
-                    for s in range(len(other)):
+                    for s in range(len(columns)):
                         low, least[s] = min(low, table[r, s]), min(least[s], table[r, s])
-                    one[r] = 0.5 * low
-                other[:] = 0.5 * least
-                for r in range(len(one)):
-                    for s in range(len(other)):
-                        table[r, s] -= one[r] + other[s]
-            for r in range(len(one)):
+                    rows[r] = 0.5 * low
+                columns[:] = 0.5 * least
+                for r in range(len(rows)):
+                    for s in range(len(columns)):
+                        table[r, s] -= rows[r] + columns[s]
+            for r in range(len(rows)):
                 low = table[r].min()
                 table[r] -= low
-                one[r] += low
-            for s in range(len(other)):
+                rows[r] += low
+            for s in range(len(columns)):
                 low = table[:, s].min()
                 table[:, s] -= low
-                other[s] += low
+                columns[s] += low
         for i in range(len(first) - 1):
-            bound += own[first[i] : first[i + 1]].min()
+            bound += single[first[i] : first[i + 1]].min()
         if is_last or bound < before + _RISE:
             break
         before = bound

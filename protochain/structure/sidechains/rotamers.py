@@ -1,7 +1,7 @@
-"""Rotamers of side chains: the usual dihedrals of each residue, and how often each combination occurs.
+"""Rotamers of side chains: the usual dihedrals of each residue, and the frequency of each combination.
 
-The library is that of Shapovalov, Dunbrack, Structure 19:844 (2011), by phi and psi in steps of 10 degrees;
-see README.md in data. Those of less than 0.3 per cent, and the rarest 1.5 per cent, are left out.
+The library of Shapovalov, Dunbrack, Structure 19:844 (2011), has steps of 10 degrees in phi and psi. See
+README.md in data. Rotamers of less than 0.3 per cent, and the rarest 1.5 per cent, are removed.
 """
 
 from functools import cache
@@ -12,9 +12,9 @@ import numpy as np
 from protochain.core.arrays import Floats, read_only
 
 BACKBONE = (-60.0, 60.0)
-"""Degrees: phi and psi where a chain begins or ends, as in SCWRL4 (Krivov et al., Proteins 77:778, 2009)."""
+"""Degrees: phi and psi at the ends of a chain, as in SCWRL4 (Krivov et al., Proteins 77:778, 2009)."""
 _STEP, _BINS = 10.0, 36
-"""Degrees between two values of phi, and of psi, the first of which is -180; their number."""
+"""Degrees between values of phi, and of psi, from -180 on, and the number of values."""
 _FINENESS = 40.0
 """Steps of the logarithm of a frequency in a unit."""
 _TURN = 256
@@ -39,7 +39,7 @@ def _at(residue: str, i: int, j: int) -> tuple[Floats, Floats]:
 
 @cache
 def _library() -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each residue: where the rotamers of each bin begin, and all of them as in the file."""
+    """Read the start of each bin, the dihedrals and the rarities of the rotamers of each residue."""
     with np.load(Path(__file__).parent / "data" / "rotamers.npz") as file:
         names = [key.removesuffix("_chi") for key in file if key.endswith("_chi")]
         return {

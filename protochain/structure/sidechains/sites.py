@@ -20,15 +20,15 @@ class Site:
     after: Member | None
 
     @property
-    def known(self) -> Places:
-        """Heavy atoms that are there, mirrored for a D-amino acid."""
+    def heavy_positions(self) -> Places:
+        """Positions of the present heavy atoms, mirrored for a D-amino acid."""
         return self._places(self.member)
 
     @property
     def backbone(self) -> tuple[float, float]:
-        """Phi and psi, degrees, of the L-amino acid; those of an end are usual ones."""
-        known = self.known
-        n, alpha, c = (known[name] for name in ("N", "CA", "C"))
+        """Phi and psi, degrees, of the L-amino acid, usual at chain ends."""
+        positions = self.heavy_positions
+        n, alpha, c = (positions[name] for name in ("N", "CA", "C"))
         before = self._places(self.before).get("C") if self.before else None
         after = self._places(self.after).get("N") if self.after else None
         phi = BACKBONE[0] if before is None else float(np.rad2deg(dihedral(before, n, alpha, c)))
