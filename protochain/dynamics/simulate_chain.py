@@ -79,14 +79,14 @@ def simulate(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        Chain to simulate. Files are loaded, structures divided into rigid bodies with the default hinges,
-        results with their own. A root that ``auto`` has fixed is freed.
+    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+        Chain to simulate. Files are loaded, and structures are divided into rigid bodies with the default
+        hinges, results with their own hinges. A root that ``auto`` has fixed is freed.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
-        Initial coordinates of the given chain; by default those of its input pose. Minimise them first: a
-        strained start is hot.
+        Initial coordinates of the given chain. Default: its input pose. Minimise them first, as a strained
+        start becomes hot.
     output : path-like, optional
         Folder for the trajectory, ``log.csv``, ``last.pdb``, ``checkpoint.npz`` and ``summary.json``.
     watch : callable, optional
@@ -118,7 +118,7 @@ def simulate(
         raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
     chain, energy = with_energy(chain, energy)
     with nullcontext() if path is None else claim_folder(path, "simulation", running.resume):
-        # A resumed run has the loops of its own start, not of this q.
+        # A resumed run has the loops of its original start, not of this q.
         run = _prepare(chain, energy, q, settings, constants_of(path) if resume and path else {})
         folder = None if path is None else Folder(path, trajectory, run.identity, run.constants)
         with threadpool_limits(1, "blas"), rescue_on_failure(folder):
@@ -127,7 +127,7 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Chain, energy (whole, and without terms that rigid bodies keep constant), start and propagator."""
+    """Chain, energy (with and without terms that are constant in rigid bodies), start and propagator."""
 
     chain: Chain
     energy: Energy
@@ -139,13 +139,13 @@ class _Run:
     freedoms: int
     pull: MovingSpring | None
     springs: HingeSprings | None
-    held_by: str  # What holds the molecule from outside; empty for a free one.
+    held_by: str  # Outside object that fixes the molecule in space, or empty.
     biases: Mapping[str, Potential]
-    """What is added to the force field, by column of the log, and a pull that stands still."""
+    """Potentials in addition to the force field, by column of the log, and a pull of speed 0."""
 
     @property
     def constants(self) -> dict[str, Floats]:
-        """What the run measures at its start and keeps, by names of ``folder.CONSTANTS``."""
+        """Constants that the run measures at its start, by names of ``folder.CONSTANTS``."""
         arrays = {
             "loop_lengths": None if self.closure is None else self.closure.length,
             "pull_start": None if self.pull is None else np.array([self.pull.start]),
@@ -168,12 +168,12 @@ class _Run:
         }
 
     def frame(self, origin: Floats) -> Frame:
-        """Frame of the positions that are written: of the start (na, 3), superposed on the input."""
+        """Frame of output positions: the start (na, 3), superposed on the input."""
         on_input = Frame(self.chain.structure, self.held_by, self.settings.superpose)
         return replace(on_input, start=self.chain.structure.with_positions(on_input(origin)))
 
     def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:
-        """Row of the log, and positions as the run went; RMSDs are relative to positions ``start``."""
+        """Row of the log, and positions in the frame of the run. RMSDs are relative to ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
         biases = {name: energy(at.q, at.factors)[0] for name, energy in self.biases.items()}
@@ -200,7 +200,7 @@ class _Run:
 
 
 def prepare_chain(chain: Chain, settings: SimulationSettings) -> Chain:
-    """Chain as it is simulated: a root that ``auto`` has fixed is freed, and hydrogens have their mass."""
+    """Prepare a chain for simulation: free a root that ``auto`` has fixed, and set hydrogen masses."""
     simulated = with_free_root(chain, settings.hydrogen_mass)
     if settings.pull is not None:
         check_pull(settings.pull, simulated)
@@ -217,7 +217,7 @@ def _prepare(
     constants: Mapping[str, Floats],
 ) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
-    # A run that is resumed keeps the constants that it measured at its start, where those of q are others.
+    # A resumed run has the constants from its start, which may differ from those at q.
     coordinates = original.q0 if q is None else finite(q, (original.n_q,), "q")
     chain = prepare_chain(original, settings)
     varying = energy.without_constants(chain.rigid_groups, chain.structure.positions)
@@ -247,7 +247,7 @@ def _prepare(
     if settings.pull is not None and pull is not None:
         refuse_fixed(settings.pull, pull, system, chain.structure, start)
     freedoms = chain.n_v - (0 if closure is None else len(closure.length))
-    # Only a molecule that nothing holds from outside conserves its momentum, which can then be removed.
+    # Only a molecule that is not fixed from outside conserves its momentum, which can then be removed.
     held_by = frame_of(chain, energy, _holder(chain, settings)).held_by
     removes = not held_by and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
@@ -263,15 +263,15 @@ def _prepare(
 
 
 def _holder(chain: Chain, settings: SimulationSettings) -> str:
-    """Roots or restraints that hold the molecule from outside; empty if it can move as one."""
+    """Roots or restraints that fix the molecule in space, or an empty text if it can move as one."""
     if any(restraint.is_external for restraint in settings.restraint):
         return "restraints of positions"
     return "" if has_free_roots(chain.tree) else "a fixed root"
 
 
 def _constant(constants: Mapping[str, Floats], name: str, default: Floats) -> Floats:
-    """What the run to be resumed measured at its start; its own if there is none of its shape."""
-    # The checkpoint is then of another run, or damaged, which is found out and said when it is read.
+    """Constant from the start of the run to be resumed, or the default if none has this shape."""
+    # The checkpoint is then from another run, or damaged, which is reported when it is read.
     stored = constants.get(name)
     return default if stored is None or stored.shape != default.shape else stored
 
@@ -329,7 +329,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
 
 
 def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Floats, list[dict[str, float]]]:
-    """First state, positions (na, 3) at step 0, and rows logged so far; create or reopen the files."""
+    """First state, positions (na, 3) at step 0, and rows so far. Files are created or reopened."""
     interval = run.settings.every * run.settings.time_step
 
     def columns(state: State, origin: Floats) -> list[str]:

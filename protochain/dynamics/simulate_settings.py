@@ -1,4 +1,4 @@
-"""Settings of a simulation, as the call and the command share them."""
+"""Settings of a simulation, shared by the call and the command."""
 
 import math
 from collections.abc import Iterable
@@ -27,28 +27,28 @@ from protochain.core.settings import Settings, document_settings, setting
 from protochain.core.units import MOLAR_GAS
 
 LONGEST_STEP = 0.5
-"""ps. Steps of bodies bound by springs are below a hundredth of this; who gives more means femtoseconds."""
+"""ps. Steps of bodies with springs are below a hundredth of this. A larger value was probably meant in fs."""
 _SHORTEST = 0.015
-"""fs. Less than a thousandth of any useful step: who gives it means picoseconds."""
+"""fs. Less than a thousandth of any useful step. A smaller value was probably meant in picoseconds."""
 
 FARTHEST_PULL = 0.1
-"""nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
+"""nm. An atom's radius. A speed that moves a spring farther in a step was probably meant in other units."""
 
 
 @document_settings()
 @dataclass(frozen=True)
 class Pull(Settings):
-    """Spring between two places of a structure, whose length at rest changes at constant speed.
+    """Spring between two places of a structure, whose rest length changes at constant speed.
 
     Parameters
     ----------
     between : pair of str, or str
         Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
-        residue, ``A:20``, or a selection in MDAnalysis's language stands for its centre of mass; two of these
-        in one text have `` - `` between them.
+        residue, ``A:20``, or a selection in MDAnalysis's language means its centre of mass. Two of these in
+        one text are separated by `` - ``.
     speed : float, nm/ps
-        At which its length at rest grows from the distance at the start; below 0 it shrinks, down to no
-        length; 0 holds the distance.
+        At which its rest length grows from the distance at the start. Below 0 it shrinks, at most to 0. With
+        0 it restrains the distance.
 
     Raises
     ------
@@ -94,7 +94,7 @@ class Pull(Settings):
 
     @classmethod
     def of(cls, value: Any, name: str = "pull") -> "Pull | None":
-        """Read what :func:`protochain.simulate` takes: a Pull, two places, or None."""
+        """Read an argument of :func:`protochain.simulate`: a Pull, two places, or None."""
         if value is None or isinstance(value, cls):
             return value
         return cls(ends(value, name))
@@ -113,19 +113,19 @@ class Pull(Settings):
 
 @dataclass(frozen=True)
 class HingeSpring:
-    """Springs and dampers on all hinges of a kind, or on one, beside the force field's own terms.
+    """Springs and dampers on all hinges of a kind, or on one, in addition to the force field.
 
     Parameters
     ----------
     kind : str
-        Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which the chain must have
-        open; or one hinge, as ``phi@A:3`` or ``phi A:3``.
+        Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which must be open in the
+        chain, or one hinge, as ``phi@A:3`` or ``phi A:3``.
     stiffness : float, kJ/mol/rad^2
         E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
         value at the start.
     damping : float, kJ/mol ps/rad^2
-        Torque against the motion, over the rate of the hinge. With a thermostat random torques come with it,
-        as many as keep the temperature.
+        Torque against the motion, divided by the rate of the hinge. With a thermostat, random torques
+        maintain the temperature.
 
     Raises
     ------
@@ -158,7 +158,7 @@ class HingeSpring:
 
     @classmethod
     def read(cls, stated: str, name: str = "hinge_springs") -> Self:
-        """Read ``omega 40 0.5``: kind, stiffness, and damping if there is any."""
+        """Read ``omega 40 0.5``: kind, stiffness, and optional damping."""
         kind, *numbers = stated.split() or [""]
         try:
             return cls(kind, *(float(word) for word in numbers))
@@ -168,7 +168,7 @@ class HingeSpring:
 
     @classmethod
     def several(cls, value: Any, name: str = "hinge_springs") -> tuple[Self, ...]:
-        """Read what :func:`protochain.simulate` takes: one, several, or texts of them."""
+        """Read an argument of :func:`protochain.simulate`: one, several, or texts of them."""
         items = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
         springs = [cls.read(item, name) if isinstance(item, str) else item for item in items]
         for spring in springs:
@@ -181,7 +181,7 @@ class HingeSpring:
 
 
 def _picoseconds(femtoseconds: float) -> float:
-    """Time step of the command line; one that is meant in another unit is refused."""
+    """Time step of the command line, or an error if it was probably meant in another unit."""
     text = f"{femtoseconds:g} fs"
     if not 0.0 < femtoseconds < 1000.0 * LONGEST_STEP:
         raise refused("time_step", text, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
@@ -198,7 +198,7 @@ def _not_negative(unit: str, shown_as: str) -> Check:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings(Settings):
-    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`."""
+    """Settings that define a simulation. :func:`protochain.simulate` explains them."""
 
     temperature: float = setting(
         defaults.TEMPERATURE,
@@ -331,7 +331,7 @@ class SimulationSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
-    """How long a simulation runs, and what is in its folder; another run may continue it with others."""
+    """Length of a simulation and contents of its folder. A resumed run may change these settings."""
 
     n_steps: int = setting(
         defaults.N_STEPS, "Total number of time steps.", at_least(1), int, "--steps",

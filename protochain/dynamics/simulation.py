@@ -42,8 +42,8 @@ class Simulation(ViolationsAtEnd):
     settings : SimulationSettings
         Settings of the simulation.
     freedoms : int
-        Number of degrees of freedom, without constraints. The six of the motion as one are subtracted if the
-        thermostat conserves momentum and nothing holds the molecule from outside.
+        Number of degrees of freedom, without constraints. The six of rigid motion are subtracted if the
+        thermostat conserves momentum and the molecule is not fixed from outside.
     state : protochain.dynamics.State
         Last valid state.
     ending : Ending
@@ -53,15 +53,15 @@ class Simulation(ViolationsAtEnd):
     rows : tuple of dict
         Rows of the log.
     last : dict
-        What its row would be of the last state, which the log lacks if its step is no multiple of ``every``.
+        Row of the last state, which is not in the log if its step is not a multiple of ``every``.
     n_steps : int
         Number of steps done by this call.
     seconds : float
         Wall time of these steps.
     frame : Frame
-        Says whether frames are superposed on the start, and if not, what held the chain in place.
+        Whether frames are superposed on the start, and if not, the reason that fixed the chain in space.
     stored_frames : tuple of (na, 3) float32, nm
-        Positions at the rows of the log, of a run without a folder.
+        Positions at the rows of the log, for a run without a folder.
     trajectory : Path, optional
         File of the frames.
 
@@ -88,7 +88,7 @@ class Simulation(ViolationsAtEnd):
 
     @cached_property
     def frames(self) -> Any:
-        """(n, na, 3) float32, nm: positions at the rows of the log; of a run with a folder, from its file."""
+        """(n, na, 3) float32, nm: positions at the rows of the log, from the trajectory file if it exists."""
         if self.trajectory is None:
             return np.array(self.stored_frames, dtype=np.float32)
         return np.array([frame.x for frame in open_frames(self.trajectory)], dtype=np.float32)
@@ -113,7 +113,7 @@ class Simulation(ViolationsAtEnd):
 
     @property
     def x(self) -> Floats:
-        """(na, 3) float, nm: final positions in the frame of the start; ``q`` is as the run went."""
+        """(na, 3) float, nm: final positions in the frame of the start. ``q`` is in the frame of the run."""
         return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
 
     @cached_property
@@ -134,7 +134,7 @@ class Simulation(ViolationsAtEnd):
 
     @cached_property
     def trace(self) -> "pd.DataFrame":
-        """Log of the simulation; the first row is the start."""
+        """Log of the simulation. The first row is the start."""
         import pandas as pd
 
         return pd.DataFrame(self.rows)
@@ -146,7 +146,7 @@ class Simulation(ViolationsAtEnd):
 
     @property
     def drift(self) -> float:
-        """Drift of the conserved energy: slope by least squares, kJ/mol/ps per 100 atoms; NaN of two rows."""
+        """Drift of the conserved energy: least-squares slope, kJ/mol/ps per 100 atoms, NaN for two rows."""
         t, conserved = (
             np.array([row[name] for row in self.rows]) for name in ("time_ps", "conserved_kj_mol")
         )
@@ -161,7 +161,7 @@ class Simulation(ViolationsAtEnd):
         return float(accepted / tried) if tried else 0.0
 
     def save(self, path: str | Path) -> None:
-        """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
+        """Write the final structure with its provenance, as PDB or mmCIF by suffix."""
         s, e = self.settings, self.energy_function
         remarks = [
             f"SPRINGS ON {spring.kind.upper()}: {spring.stiffness:g} KJ/MOL/RAD^2, "
@@ -184,7 +184,7 @@ class Simulation(ViolationsAtEnd):
         return {column.key: column.value(self) for column in RECORD} | settings | self._pull_record()
 
     def _pull_record(self) -> dict[str, float]:
-        """What a pull has come to; nothing without one."""
+        """Record of a pull, empty without one."""
         if self.settings.pull is None:
             return {}
         first, last = self.rows[0], self.last
@@ -221,7 +221,7 @@ RENAMED = {
     "temperature": "temperature_k", "time_step": "time_step_fs", "friction": "friction_per_ps",
     "hydrogen_mass": "hydrogen_mass_amu", "every": "every_steps",
 }  # fmt: skip
-"""Settings whose names in a record have units; the time step has another one there."""
+"""Settings whose names in a record have units. The unit of the time step differs there."""
 
 RECORD = (
     Column("protochain", lambda r: version("protochain")),
@@ -259,9 +259,9 @@ RECORD = (
     *of_losses(lambda r: r.chain.structure),
     Column("threads", lambda r: r.energy_function.threads, kind=int | None),
 )  # fmt: skip
-"""Columns of a record beside the settings."""
+"""Columns of a record in addition to the settings."""
 PULLED = (
     "pull_stiffness_kj_mol_nm2", "pull_speed_nm_ps", "pull_distance_start_nm", "pull_distance_end_nm",
     "pull_work_end_kj_mol", "pull_force_largest_kj_mol_nm",
 )  # fmt: skip
-"""And those of a run that pulls."""
+"""Additional columns of a run with a pull."""

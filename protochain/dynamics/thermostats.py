@@ -1,4 +1,4 @@
-"""Thermostats: applied after each step of an integrator, each leaves the canonical distribution invariant."""
+"""Thermostats, applied after each step of an integrator. Each preserves the canonical distribution."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -12,7 +12,7 @@ from protochain.mechanics.motion.system import Phase, System
 from protochain.mechanics.multibody.articulated import sample
 
 Random = Callable[[], np.random.Generator]
-"""Makes a generator when asked: most steps draw nothing, and it takes a tenth of the step of a peptide."""
+"""Returns a generator on demand. Most steps draw nothing, and it costs a tenth of the step of a peptide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Thermostat(Protocol):
     conserves_momentum: ClassVar[bool] = False
     """Whether it conserves zero total momentum, so that centre-of-mass motion can be removed."""
     metropolis: ClassVar[bool] = False
-    """Whether it accepts or rejects trajectories, which needs a reversible integrator; a failed step then has
-    an infinite potential and is rejected."""
+    """Whether it accepts or rejects trajectories, which requires a reversible integrator. A failed step then
+    has an infinite potential and is rejected."""
 
     def init(self, at: Phase) -> Bath:
         """Return the bath at the start of a simulation."""
@@ -43,7 +43,7 @@ class Thermostat(Protocol):
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
-        """Act for one time step; ``random`` makes the generator of this step for those that draw."""
+        """Act for one time step. ``random`` returns the random generator of this step."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class NoseHoover(Thermostat):
     """Nose-Hoover chain of three thermostats: deterministic and time-reversible.
 
     Martyna, Tuckerman, Tobias, Klein, Mol. Phys. 87:1117 (1996), with Yoshida's weights of order four. The
-    bath's memory holds the friction coefficients (1/ps), then their integrals.
+    bath's memory contains the friction coefficients (1/ps), then their integrals.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class NoseHoover(Thermostat):
         return system.with_velocities(at, scale * at.qd), Bath(float(energy), read_only([*xi, *eta]))
 
     def _advance(self, xi: Floats, inertia: Floats, i: int, twice: float, h: float) -> None:
-        """Advance the i-th friction coefficient by h: driven by its force, damped by the next one."""
+        """Advance the i-th friction coefficient by h, driven by its force and damped by the next one."""
         drive = twice if i == 0 else inertia[i - 1] * xi[i - 1] ** 2
         force = (drive - (self.freedoms if i == 0 else 1) * self.thermal_energy) / inertia[i]
         brake = np.exp(-0.5 * h * xi[i + 1]) if i + 1 < _CHAIN else 1.0
@@ -195,10 +195,10 @@ class HybridMonteCarlo(Thermostat):
     """Hybrid Monte Carlo: short trajectories from thermal velocities, accepted by Metropolis' criterion.
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
-    integrator the distribution is exact at any time step; with Fixman's potential it is that of the force
-    field in torsions. A trajectory with a step that fails, or that cannot be taken back, is rejected. The
-    memory holds the steps since the last test, the numbers of accepted and tried trajectories, and the total
-    energy and q at the last start.
+    integrator the distribution is exact at any time step. With Fixman's potential it is the force field's
+    distribution in torsions. A trajectory with a failed or irreversible step is rejected. The memory contains
+    the steps since the last test, the numbers of accepted and tried trajectories, and the total energy and q
+    at the last start.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ class HybridMonteCarlo(Thermostat):
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
-        """Count a step; at the end of a trajectory accept or reject it and draw new velocities."""
+        """Count a step. At the end of a trajectory, accept or reject it and draw new velocities."""
         steps, accepted, tried, began = bath.memory[:4]
         if steps + 1 < self.trajectory_length:
             return at, Bath(bath.energy, read_only([steps + 1, *bath.memory[1:]]))
@@ -246,7 +246,7 @@ THERMOSTATS: dict[str, type[Thermostat]] = {
 
 
 def build_thermostat(settings: Mapping[str, Any], thermal_energy: float, freedoms: int) -> Thermostat:
-    """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
+    """Thermostat of the settings for this number of degrees of freedom, with fields set by name."""
     kind: Any = THERMOSTATS[settings["thermostat"]]
     values = {**settings, "thermal_energy": thermal_energy, "freedoms": freedoms}
     return kind(**{field.name: values[field.name] for field in fields(kind)})

@@ -1,4 +1,4 @@
-"""Umbrella sampling: windows along a dihedral or a distance, put together by MBAR."""
+"""Umbrella sampling: windows along a dihedral or a distance, combined by MBAR."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _COORDINATE = instance(Restraint, 'pc.Restraint("dihedral", ("phi A:3",), 0, 0, 100)')
 _APART = 1e-6
-"""Degrees or angstrom: centres that are nearer are one."""
+"""Degrees or angstrom. Nearer centres count as equal."""
 
 
 @checked(coordinate=_COORDINATE, n_equilibrate=at_least(0), temperature=quantity("kelvin"))
@@ -38,13 +38,13 @@ def umbrella(
     Parameters
     ----------
     chain, energy : Chain, Energy
-        As in :func:`protochain.simulate`; each window goes on from the end of the one before.
+        As in :func:`protochain.simulate`. Each window continues from the end of the previous one.
     coordinate : Restraint
-        Dihedral or distance, with the stiffness of all windows; its bounds are replaced.
+        Dihedral or distance, with the stiffness of all windows. Its bounds are replaced.
     centres : sequence of float, degrees or angstrom
-        Centres of the windows, all different; the centres of a dihedral within less than a full circle.
+        Centres of the windows, all different. Centres of a dihedral must span less than a full circle.
     edges : sequence of float, degrees or angstrom, optional
-        Edges of the bins in rising order; by default halfway between centres.
+        Edges of the bins in rising order. Default: halfway between centres.
     n_equilibrate : int
         Rows at the start of the log of each window that are skipped.
     temperature : float, K
@@ -55,7 +55,7 @@ def umbrella(
     Returns
     -------
     pandas.DataFrame
-        A row a bin that has samples. ``value`` is its middle, ``samples`` the number of rows in it.
+        A row per bin with samples. ``value`` is its middle, ``samples`` the number of rows in it.
         ``free_energy_kj_mol`` is -kT ln of the probability per degree or angstrom, above the lowest bin.
         ``error_kj_mol`` is the standard error of this difference.
 
@@ -68,9 +68,9 @@ def umbrella(
     Notes
     -----
     MBAR: Shirts, Chodera, J. Chem. Phys. 129:124105 (2008), equation 11, by pymbar. The rows of a window are
-    correlated. The N rows of a window therefore count as N / g, where g is the statistical inefficiency of
-    what they add to the error (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that
-    are slower than a window do not show in it.
+    correlated. The N rows of a window therefore count as N / g, with g the statistical inefficiency of their
+    contributions to the error (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that
+    are slower than a window do not affect it.
     """
     import pandas as pd
 
@@ -107,7 +107,7 @@ def umbrella(
     for window, part in zip(windows, np.split(values, np.cumsum(counts)[:-1]), strict=True):
         if np.ptp(part) == 0.0:
             raise ProtochainError(f"umbrella: window {window}: no hinge changes it; open one that does")
-    # Rows of a dihedral go to the turn that begins at the first edge.
+    # Values of a dihedral are moved to the turn that begins at the first edge.
     values = bins[0] + (values - bins[0]) % 360.0 if turns else values
     of_bin = np.digitize(values, bins) - 1
     of_bin[of_bin == len(bins) - 1] = -1
@@ -116,12 +116,12 @@ def umbrella(
         reach = f"{values.min():.4g} to {values.max():.4g}"
         raise refused("edges", shown(bins.tolist()), f"no samples between them, but from {reach}")
     with warnings.catch_warnings():
-        # Its solvers warn of options of one another.
+        # Its solvers warn of options of other solvers.
         warnings.simplefilter("ignore")
         mbar = pymbar.MBAR(bias, np.array(counts))
     shares = np.exp(mbar.Log_W_nk)
     # The second eigenvalue of the overlap matrix is 1 if the windows form two groups (Klimovich, Shirts,
-    # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then says how the groups compare.
+    # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then relates the groups.
     if len(x) * mbar.compute_overlap()["scalar"] < 1.0:
         remedy = "the windows do not overlap; give more, or a softer spring"
         raise refused("centres", shown(at.tolist()), remedy)
@@ -151,7 +151,7 @@ def _variance(series: Floats, inefficiency: Callable[[Floats], float]) -> float:
 
 
 def _bins(at: Floats, circle: float, edges: Any) -> Floats:
-    """Edges of the bins: those asked for, or halfway between sorted centres, also across the circle."""
+    """Edges of the bins, as requested, or halfway between sorted centres, also across the circle."""
     if np.isinf(circle) and at[0] < 0.0:
         raise refused("centres", f"{at[0]:g}", "give distances of 0 or more")
     gaps = np.diff(at, append=at[0] + circle)
@@ -180,6 +180,6 @@ def _noise(shares: Floats, counts: Integers) -> Floats:
     """
     m = shares.shape[1]
     rows = np.pad(counts, (0, m - len(counts)))
-    # A constant added to all free energies changes nothing: without it the slope has an inverse.
+    # A constant added to all free energies has no effect. Without it the slope has an inverse.
     slope = np.eye(m) - shares.T @ shares * rows + rows / rows.sum()
     return np.asarray(np.linalg.solve(slope, shares.T).T)
