@@ -96,6 +96,7 @@ def compare(
         match(reference_structure, chain.structure)  # Raises before the work if nothing matches.
     for run in runs:
         run.recipe.check(energy)
+    # All runs share one start. Methods that do not repeat exactly run with several seeds.
     start = Start(chain, energy, runs[0].judge)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []

@@ -157,6 +157,7 @@ def differences(before: Any, after: Any) -> Differences:
     """
     first, second = as_structure(before), as_structure(after)
     pairs = match(first, second)
+    # Superpose all C-alphas, and find rigid domains.
     turns = _turn_angles(first, second, pairs)
     alphas = [
         layout(s).atoms("CA")[indices, 0] for s, indices in ((first, pairs.reference), (second, pairs.model))
@@ -180,6 +181,7 @@ def differences(before: Any, after: Any) -> Differences:
             "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": shifts,
         }
     )  # fmt: skip
+    # Totals of both structures, of parts, and of domains.
     bonds, counts = _bonds(first, second, pairs)
     is_same = first.residue_name[pairs.reference] == second.residue_name[pairs.model]
     changed = (names[0] != names[1]) & is_same & (names[0] != "") & (names[1] != "")

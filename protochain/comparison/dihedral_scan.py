@@ -37,8 +37,7 @@ def scan(
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     grids : mapping of str to sequence of float, degrees
-        Values of each hinge by its name, as ``{"phi A:3": range(-180, 180, 10)}``. All combinations are
-        computed.
+        Values of each hinge by its name, as ``{"phi A:3": range(-180, 180, 10)}``, all combined.
     relax : bool
         Whether all other hinges are minimised at each point, by ``lbfgs``.
     watch : callable, optional

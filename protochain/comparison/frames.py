@@ -21,8 +21,7 @@ class EveryFrame(AnalysisBase):
     Parameters
     ----------
     atoms : MDAnalysis.Universe or AtomGroup
-        Atoms of the protein. Each frame is prepared like a file. Frames with the same atoms share one
-        energy.
+        Atoms of the protein. Each frame is prepared like a file. Frames with equal atoms share one energy.
     method : str, optional
         As in :func:`protochain.minimise`. None only measures.
     tolerance : float

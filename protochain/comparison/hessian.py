@@ -135,8 +135,7 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     -------
     (n_v, n_v) float, kJ/mol/rad^2
         Symmetric matrix. A free root has (turn, shift) about its frame's origin, world axes, with shifts in
-        nm. It moves by the exponential map. Its entries are derivatives at zero torque, and otherwise
-        their symmetric part.
+        nm. It moves by the exponential map: at nonzero torque its entries are the symmetric part.
 
     Raises
     ------

@@ -188,8 +188,7 @@ class NormalModes(Value):
     def collectivity(self) -> Floats:
         """(k,) float: share of the C-alphas that a mode moves, from 1/n to 1.
 
-        exp(-sum p ln p)/n with p the shares of the squared displacements: Bruschweiler, J. Chem. Phys.
-        102:3396 (1995).
+        exp(-sum p ln p)/n, p shares of squared displacements (Bruschweiler, J. Chem. Phys. 102:3396, 1995).
         """
         return np.array([share_moved(mode) for mode in self._alphas])
 

@@ -3,8 +3,7 @@
 The energy of a free chain does not depend on its position: with T its rigid motions, the rates are T w + P s,
 with the first root at rest in P s, and K s = P^T K P s. The kinetic energy is least without momentum, with
 Schur's complement in place of M. Its inverse is S M^-1 S^T in O(n). S subtracts the motion of the first root
-from all rates: s = S (T w + P s). So the zero modes of the whole are removed exactly, and all other modes
-are exact.
+from all rates: s = S (T w + P s). So the zero modes of the whole are removed, and all others are exact.
 """
 
 import warnings
@@ -166,8 +165,7 @@ def normal_modes(
     Returns
     -------
     NormalModes
-        Frequencies, modes, and derived quantities. The six zero modes of a free molecule are removed
-        exactly.
+        Frequencies, modes, and derived quantities, without the six zero modes of a free molecule.
 
     Raises
     ------
@@ -188,6 +186,7 @@ def normal_modes(
     start = cut.q0 if q is None else floats(q, (cut.n_q,), "q")
     held_by = frame_of(cut, energy_used).held_by
     chain, start = (cut, start) if held_by else _free_root(cut, start)
+    # Solve K a = w^2 M a without the rigid motions of a free chain.
     torques = torques_at(chain, energy_used, start)
     at = pose(chain, torques.q)
     rigid_motions = np.empty((0, chain.n_v)) if held_by else motions_of_whole(chain, at)
@@ -383,6 +382,7 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
         )  # fmt: skip
     except ArpackNoConvergence:
         largest = np.nan
+    # Modes of the model are the first guess, and its factor is the preconditioner.
     model = _model(torques, inertia)
     factor = cho_factor(model, lower=True)
     guides = eigh(model, inertia.matrix(), subset_by_index=[0, min(n, k + _GUARDS) - 1])[1]

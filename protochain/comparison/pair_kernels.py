@@ -290,6 +290,7 @@ def pair_sweep(
                 _add_moments(row, 6 * c, g, xi, yi, zi)
                 for p, value in enumerate((pxx, pxy, pxz, pyy, pyz, pzz, fx, fy, fz)):
                     block[p] += value
+            # Stiffness and force of the atom are complete.
             sources[atom] = block
             atom += 1
             for m in range(partner_start[i], partner_start[i + 1]):

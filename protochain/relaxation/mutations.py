@@ -61,8 +61,7 @@ class Mutation(Value):
     wild, mutant : Relaxation
         Relaxed by the same protocol, with the same moving residues.
     unfolded : float or None, kJ/mol
-        Change of energy of the same residues in pentapeptides GGXGG. None if it is undefined, for example for
-        a bonded cysteine.
+        Change of energy of the same residues in pentapeptides GGXGG. None for bonded cysteines.
     seconds : float
         Wall time of all.
 

@@ -53,8 +53,7 @@ def relax(
 
     All atoms move, with springs from the heavy atoms to the input. If violations (as AlphaFold counts them)
     or overlaps remain, the springs of these residues and their neighbours are weakened, then removed, and the
-    structure is minimised again. All other springs always pull to the original input, so that drift cannot
-    accumulate.
+    structure is minimised again. All other springs always pull to the original input, to prevent drift.
 
     Parameters
     ----------
@@ -119,6 +118,7 @@ def relax_structure(
     if not mobile[~of_ligands].any():
         # In a rigid protein only the pose can change: springs to it would preserve its overlaps.
         excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
+    # Each round minimises from the end of the previous one. Springs pull to ``first``.
     check_dihedrals(energy, "relax")
     energy = prepare_energy(energy, structure.positions)
     first = _repack(structure, energy, mobile, settings)
@@ -131,6 +131,7 @@ def relax_structure(
     with _libraries().limit(limits=1, user_api="blas"):
         ends = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
     seconds = perf_counter() - trace.began
+    # The best round is judged in double precision, with the residual of its last stage.
     end = best_round(ends)
     frame = Frame(structure, held_by)
     restraint, has_restraint = relaxer.restraint(end.springs), end.springs.weight.any() or user_restraints

@@ -98,15 +98,13 @@ def _assign_rotamers(
     """Positions with the best rotamers, and repairs of the turned side chains."""
     x = np.array(structure.positions)
     interactions = Interactions(terms, structure.positions, rotamers)
-    assignment = assign_states(
-        [interactions.self_energies(i) for i in range(len(rotamers))], interactions.pairs()
-    )
+    best = assign_states([interactions.self_energies(i) for i in range(len(rotamers))], interactions.pairs())
     repairs = []
-    for side_chain, state in zip(rotamers, assignment.states.tolist(), strict=True):
+    for side_chain, state in zip(rotamers, best.states.tolist(), strict=True):
         if state:
             x[side_chain.atoms] = side_chain.x[state]
             repairs.append(side_chain.repair(state, structure.residue(side_chain.residue)))
-    if repairs and not assignment.is_proven:
+    if repairs and not best.is_proven:
         repairs.append(Repair(Kind.NOT_PROVEN))
     return x, tuple(repairs)
 

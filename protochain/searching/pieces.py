@@ -76,11 +76,10 @@ class Method(Protocol):
 def advance(
     landscape: Landscape, method: Method, state: Any | None, budget: float, seconds: float = SECONDS
 ) -> tuple[Any | None, Finding]:
-    """Run steps, at least one, until the time or the evaluations of the walker are spent."""
+    """Run steps until the time or the evaluations of the walker are spent, at least one for long steps."""
     # A step that is interrupted does not count: the state before it is returned.
     began, findings = perf_counter(), list[Finding]()
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
-        # A step may be longer than a piece.
         while state is None or (
             state.n_evaluations < budget and not (findings and perf_counter() - began >= seconds)
         ):

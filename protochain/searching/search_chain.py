@@ -103,8 +103,7 @@ def search(
     energy : Energy, optional
         As in :func:`protochain.minimise`.
     output : path-like, optional
-        Folder for pieces, with which the search can be resumed, tables, structures, ``summary.json`` and
-        ``report.html``.
+        Folder for pieces to resume from, tables, structures, ``summary.json`` and ``report.html``.
     workers : int, optional
         Number of processes of one thread. By default the search runs in this process.
     scheduler : str, optional

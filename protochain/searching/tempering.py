@@ -83,6 +83,7 @@ class Replicas:
         """Move every replica by a trajectory, then exchange neighbours, even and odd pairs in turn."""
         number, r = state.n_done + 1, self.n_replicas
         walker = 0 if number <= self.pilot else self.walker
+        # In the pilot all walkers use the same random numbers.
         runs = [
             landscape.sweep(
                 state.q[k], float(state.temperatures[k]), float(state.time_steps[k]), 1,
@@ -115,6 +116,7 @@ class Replicas:
         finding = Finding(
             np.empty((0, q.shape[1] + 2)), np.concatenate([after.energy[:, None], after.q], axis=1)[None]
         )
+        # Every few rounds a descent yields a minimum.
         if number % QUENCHED:
             return after, finding
         end = landscape.minimise(after.q[number // QUENCHED % r])
