@@ -86,8 +86,7 @@ class Closure:
         -----
         With A = G M^-1 G^T = L L^T, G' = L^-1 G and u_i the rows of G' M^-1, the gradient is the sum over i
         of 2 dG'_i u_i - u_i^T dM u_i at constant L and u. Both terms are gradients of loads on twists (of the
-        rows and of the momenta) that turn with the bodies. Only the lines of the distances follow both of
-        their ends. O(m n + m^3).
+        rows and of the momenta) that turn with the bodies, except the lines of the distances. O(m n + m^3).
         """
         tree, frames = factors.tree, factors.frames
         rows = self.rows(frames)

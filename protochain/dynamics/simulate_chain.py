@@ -85,8 +85,7 @@ def simulate(
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
-        Initial coordinates of the given chain. Default: its input pose. Minimise them first, as a strained
-        start becomes hot.
+        Initial coordinates of the given chain. Default: its input pose. Minimise first: strain becomes heat.
     output : path-like, optional
         Folder for the trajectory, ``log.csv``, ``last.pdb``, ``checkpoint.npz`` and ``summary.json``.
     watch : callable, optional

@@ -47,8 +47,7 @@ class Pull(Settings):
         residue, ``A:20``, or a selection in MDAnalysis's language means its centre of mass. Two of these in
         one text are separated by `` - ``.
     speed : float, nm/ps
-        At which its rest length grows from the distance at the start. Below 0 it shrinks, at most to 0. With
-        0 it restrains the distance.
+        At which its rest length grows from the initial distance. Below 0 it shrinks, at most to 0.
 
     Raises
     ------
@@ -124,8 +123,7 @@ class HingeSpring:
         E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
         value at the start.
     damping : float, kJ/mol ps/rad^2
-        Torque against the motion, divided by the rate of the hinge. With a thermostat, random torques
-        maintain the temperature.
+        Torque against the motion, divided by the hinge's rate. Thermostats add random torques.
 
     Raises
     ------

@@ -2,8 +2,8 @@
 
 Soft motions of all atoms are turns about bonds. A model of the Hessian or an L-BFGS pair belongs to the bond
 directions at one point. In frames of the bonds it also applies to the turned molecule, as in corotational
-finite elements. A straight step along a turn stretches bonds by half its square over their length. This costs
-more energy than the turn gains.
+finite elements. A straight step along a turn stretches bonds by half its square over their length, which
+costs more energy than the turn gains.
 """
 
 import numpy as np

@@ -32,7 +32,7 @@ from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import threaded_rings
 
 STRAINED_TORQUE = 1e5
-"""kJ/mol/rad. A start with a larger torque is strained. Fifty prepared crystal and NMR structures without
+"""kJ/mol/rad. Starts with larger torques are strained. Fifty prepared crystal and NMR structures without
 overlaps have at most 6e4."""
 
 HANDOVER_TORQUE, HANDOVER_TORQUE_ALONE = 1e3, 1e4
@@ -50,8 +50,7 @@ SPRING = 4184.0
 AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
 
 SPRINGS_ON_BACKBONE = (1000.0, 100.0)
-"""kJ/mol/nm^2, in this order, on heavy backbone atoms only. Side chains relax before they can push the
-backbone apart."""
+"""kJ/mol/nm^2, in this order, on heavy backbone atoms only: side chains relax before the backbone."""
 
 SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
 """kJ/mol/nm^2, in this order, because torsions have long levers."""

@@ -69,8 +69,7 @@ def minimise(
     chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
         A file is loaded, and a structure is cut into a chain with the default hinges. A result continues from
         its end, with its own hinges. Methods that move masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
-        ``quench``) free a root that ``auto`` has fixed. ``chain`` and ``q`` of the result then have a free
-        root.
+        ``quench``) free a root that ``auto`` has fixed, also in ``chain`` and ``q`` of the result.
     energy : Energy or callable, optional
         Default: for a result its own energy, without the restraints of its run, otherwise
         :func:`protochain.energy`. A callable converts positions (na, 3) in nm to energy in kJ/mol and forces
@@ -96,8 +95,7 @@ def minimise(
     -------
     Solution
         Never worse than the start, restraints included. It is superposed on the start unless an obstacle, a
-        selection, a restraint, or an energy that depends on the place fixes the run in space. The judge sets
-        its status, not the method.
+        selection, a restraint, or the energy fixes the run in space. The judge sets its status.
 
     Raises
     ------

@@ -37,8 +37,7 @@ softest eigenvectors of the metric, pairs of the run, or the near terms' metric 
 proteins. On others they also end twice too high."""
 
 LEAST = 0.1
-"""kJ/mol/nm^2. If all atoms move, eigenvalues nearer 0 count as 0. A hundred atoms that move by 0.1 nm each
-gain less than 0.05 kJ/mol."""
+"""kJ/mol/nm^2. If all atoms move, smaller ones count as 0: 100 atoms gain < 0.05 kJ/mol in 0.1 nm."""
 
 SIGN, SOFT = 1e-3, 2.0
 """kJ/mol/rad^2. In torsions: error of a measured eigenvalue near 0, and lower limit for a clear minimum.

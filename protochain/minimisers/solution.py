@@ -164,8 +164,7 @@ class RunEnds(ViolationsAtEnd, Value):
     def terms_start(self) -> dict[str, float]:
         """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
 
-        Empty if the energy is a callable, or a System that the native engine cannot compute, or has more than
-        20,000 atoms.
+        Empty for a callable, a System that the native engine cannot compute, or over 20,000 atoms.
         """
         return self._terms[1]
 

@@ -33,8 +33,7 @@ REACH = 1.3
 """Longest spring, in contact distances. Its stiffness is 2 % of the stiffness at contact."""
 
 TORSION_FLOOR = 150.0
-"""kJ/mol/rad^2, added for every freedom, for dihedral terms and long-range forces. Values between 60 and 400
-perform alike."""
+"""kJ/mol/rad^2, added for every freedom, for dihedrals and long-range forces. 60 to 400 perform alike."""
 
 BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
 """kJ/mol/nm^2, of springs between atoms one, two and three bonds apart. Bonds of ff14SB have 1.5e5 to 5e5.

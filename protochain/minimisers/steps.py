@@ -162,8 +162,7 @@ class Armijo:
 class StrongWolfe:
     """Search for a step length that meets the strong Wolfe conditions.
 
-    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as in scipy. Importing it from
-    scipy would load half of scipy.
+    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as in scipy (a slow import).
     """
 
     def init(self, at: Evaluation) -> None:
