@@ -72,9 +72,10 @@ def flips(rows: pd.DataFrame) -> str:
 def flips_words(rows: pd.DataFrame) -> str:
     """Share of the deciding sites of both halves."""
     total = rows[rows["structure"] == "all"][["deciding", "deciding_put_back"]].sum()
+    share = 100.0 * total["deciding_put_back"] / total["deciding"]
     return paragraph(
         f"In all, {total['deciding_put_back']} of {total['deciding']} deciding sites are put back,",
-        f"{100.0 * total['deciding_put_back'] / total['deciding']:.0f} %. The goal of 95 % is not met.",
+        f"{share:.0f} %. The goal of 95 % is {'' if share >= 95.0 else 'not '}met.",
     )
 
 
