@@ -113,7 +113,7 @@ def as_text(
         remarks = [*remarks, *map(_short_name, *zip(*short.items(), strict=True))]
         models = [_renamed(each, short) for each in models]
     out = as_gemmi(models)
-    update_entities(out, whole=format_ == "mmCIF")
+    update_entities(out, complete=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
     repairs = dict.fromkeys(str(repair) for each in models for repair in each.repairs)

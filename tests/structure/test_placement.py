@@ -190,4 +190,4 @@ def test_directions_of_a_sphere_are_spread_on_a_golden_spiral():
     assert module._unit(np.array([0.0, 3.0, 4.0])).tolist() == [0.0, 0.6, 0.8]
     assert module._unit(np.array([0.0, 0.5e-9, 0.0])).tolist() == [1.0, 0.0, 0.0]
     assert module._unit(np.array([0.0, 1.5e-9, 0.0])).tolist() == [0.0, 1.0, 0.0]
-    assert module._least(np.array([-0.9, 0.1, 0.3])).tolist() == [0.0, 1.0, 0.0]
+    assert module._perpendicular_axis(np.array([-0.9, 0.1, 0.3])).tolist() == [0.0, 1.0, 0.0]

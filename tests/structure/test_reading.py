@@ -434,7 +434,7 @@ def test_an_entity_that_names_a_chain_twice_is_one():
     for residue in st[0][0]:
         residue.entity_type = gemmi.EntityType.NonPolymer
     st.entities[0].subchains = [*st.entities[0].subchains] * 2
-    update_entities(st, whole=True)
+    update_entities(st, complete=True)
     assert st.entities[0].subchains == ["Axp"]
 
 

@@ -19,12 +19,12 @@ class Graph:
         self.atoms: dict[str, list[int]] = {}
         self.bonds: dict[frozenset[str], int] = {}
 
-    def add(self, prefix: str, of: Molecule) -> None:
+    def add(self, prefix: str, mol: Molecule) -> None:
         """Add a molecule under names with a prefix."""
-        names = [prefix + name for name in of.names]
-        for name, z, q in zip(names, of.elements.tolist(), of.formal_charges.tolist(), strict=True):
+        names = [prefix + name for name in mol.names]
+        for name, z, q in zip(names, mol.elements.tolist(), mol.formal_charges.tolist(), strict=True):
             self.atoms[name] = [z, q]
-        for (i, j), order in zip(of.bonds.tolist(), of.orders.tolist(), strict=True):
+        for (i, j), order in zip(mol.bonds.tolist(), mol.orders.tolist(), strict=True):
             self.bonds[frozenset((names[i], names[j]))] = order
 
     def near(self, a: str) -> list[str]:
@@ -33,21 +33,21 @@ class Graph:
 
     def heavy(self, a: str) -> list[str]:
         """Heavy atoms bonded to one."""
-        return [each for each in self.near(a) if self.atoms[each][0] != _H]
+        return [neighbour for neighbour in self.near(a) if self.atoms[neighbour][0] != _H]
 
     def light(self, a: str) -> list[str]:
         """Hydrogens bonded to one."""
-        return [each for each in self.near(a) if self.atoms[each][0] == _H]
+        return [neighbour for neighbour in self.near(a) if self.atoms[neighbour][0] == _H]
 
     def order(self, a: str, b: str) -> int:
         """Order of a bond; 0 if there is none."""
         return self.bonds.get(frozenset((a, b)), 0)
 
-    def drop(self, gone: Sequence[str]) -> None:
+    def remove(self, atoms: Sequence[str]) -> None:
         """Take away atoms with their bonds."""
-        for each in gone:
-            del self.atoms[each]
-        self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & {*gone}}
+        for atom in atoms:
+            del self.atoms[atom]
+        self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & {*atoms}}
 
     def backbone(self, prefix: str) -> bool:
         """Whether N, CA, C and O are bonded as in alanine: CA is tetrahedral, C that of an acid or amide."""
@@ -58,10 +58,10 @@ class Graph:
         return (
             [self.order(alpha, n), self.order(alpha, c), self.order(c, o)] == [1, 1, 2]
             and len(around) == 4
-            and all(self.order(alpha, each) == 1 for each in around)
+            and all(self.order(alpha, x) == 1 for x in around)
             and self.atoms[n][0] == _N and self.atoms[c][0] == _C and self.atoms[o][0] == _O
             and len(self.heavy(c)) == 3
-            and any(self.atoms[each][0] in (_N, _O) for each in self.heavy(c) if each not in (alpha, o))
+            and any(self.atoms[x][0] in (_N, _O) for x in self.heavy(c) if x not in (alpha, o))
         )  # fmt: skip
 
     def is_acyl(self, n: str) -> bool:
@@ -70,7 +70,7 @@ class Graph:
             self.order(c, o) == 2 and self.atoms[o][0] == _O for c in self.heavy(n) for o in self.heavy(c)
         )
 
-    def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
+    def drop_groups(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
         """Take away groups absent at an atom, or one that its component lets leave; and valences freed."""
         groups = {x: self.beyond(a, x) for x in self.heavy(a)}
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
@@ -79,22 +79,22 @@ class Graph:
         if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl has not left, too: it is missing.
             at = [x for x in at if self.atoms[x][0] != _O or self.order(a, x) == 1]
         for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
-            self.turn(x)
-        gone = [each for x in at for each in groups[x]]
+            self.swap_oxygens(x)
+        removed = [atom for x in at for atom in groups[x]]
         freed = sum(self.order(a, x) for x in at)
-        self.drop([each for x in gone for each in (x, *self.light(x))])
-        return gone, freed
+        self.remove([atom for x in removed for atom in (x, *self.light(x))])
+        return removed, freed
 
     def beyond(self, a: str, x: str) -> dict[str, None]:
         """Heavy atoms of a group: a neighbour of an atom, and all that only this holds."""
-        found = {x: None}
+        group = {x: None}
         ends = [x]
         while ends:
-            ends = [y for end in ends for y in self.heavy(end) if (end, y) != (x, a) and y not in found]
-            found |= dict.fromkeys(ends)
-        return found
+            ends = [y for end in ends for y in self.heavy(end) if (end, y) != (x, a) and y not in group]
+            group |= dict.fromkeys(ends)
+        return group
 
-    def turn(self, a: str) -> None:
+    def swap_oxygens(self, a: str) -> None:
         """Give a doubly bonded oxygen of an acid the hydrogen and the charge of one of its others."""
         for c in self.heavy(a) if self.atoms[a][0] == _O else ():
             single = (x for x in self.heavy(c) if self.order(x, c) == 1 and self.heavy(x) == [c])
@@ -118,7 +118,7 @@ class Graph:
         double = [x for x in carbons if self.order(a, x) > 1]
         return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
 
-    def give(
+    def free_valences(
         self, a: str, order: int, freed: int, single: Sequence[str], filed: Collection[str] = ()
     ) -> list[str]:
         """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first."""
@@ -128,9 +128,9 @@ class Graph:
         room = 3 - sum(self.order(a, x) for x in heavy) - order
         if z == _N and room >= 0:
             self.atoms[a][1] = 0
-            gone = sorted(self.light(a), key=lambda x: x not in filed)[room:]
-            self.drop(gone)
-            return gone
+            removed = sorted(self.light(a), key=lambda x: x not in filed)[room:]
+            self.remove(removed)
+            return removed
         # A bond that another has used up may have left it one free.
         freed = max(freed, 4 - sum(self.order(a, x) for x in (*light, *heavy)) if z == _C and not q else 0)
         need = order - freed
@@ -146,25 +146,25 @@ class Graph:
                 need -= 1
         alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]
         ends = [x for x in alone if self.atoms[x][0] in _MONOVALENT]
-        gone = [*light, *ends][: max(need, 0)]
-        if len(gone) < need == 1 and z == _S and len(heavy) == 2 and not q:
+        removed = [*light, *ends][: max(need, 0)]
+        if len(removed) < need == 1 and z == _S and len(heavy) == 2 and not q:
             self.atoms[a][1], need = 1, 0  # A sulphonium, as of methionine and tyrosine of catalases.
-        if len(gone) < need:
+        if len(removed) < need:
             raise StructureError(f"{a.partition(':')[2]} has no valence left for a bond")
-        self.drop([y for x in gone for y in (x, *(self.light(x) if x in ends else ()))])
-        return gone
+        self.remove([y for x in removed for y in (x, *(self.light(x) if x in ends else ()))])
+        return removed
 
     def molecule(self, source: str) -> Molecule:
         """As a value, with the hydrogens that lack."""
         names = [*self.atoms]
         place = {name: k for k, name in enumerate(names)}
-        made = build_mol(
+        assembly = build_mol(
             names, [z for z, _ in self.atoms.values()], [q for _, q in self.atoms.values()],
             [sorted(place[end] for end in bond) for bond in self.bonds], [*self.bonds.values()], None,
         )  # fmt: skip
         try:
-            quietly(library("rdkit.Chem").SanitizeMol, made)
+            quietly(library("rdkit.Chem").SanitizeMol, assembly)
         except ValueError as error:
             reason = " ".join(str(error).split())
             raise StructureError(f"{source}: cannot be bonded as the file has it ({reason})") from None
-        return from_rdkit(made, source)
+        return from_rdkit(assembly, source)

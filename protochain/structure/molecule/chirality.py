@@ -49,8 +49,8 @@ def chirality(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in D, 0 if atoms lack or it is flatter (nm^3)."""
     # An atom that is not bonded to it counts as missing, as CB of a peptoid.
     neighbours = centres(member.name).get(centre, ())
-    found = [member.atom(name) for name in (centre, *neighbours)]
-    x = np.array([atom.pos.tolist() for atom in found if atom is not None]) / ANGSTROM_PER_NM
+    atoms = [member.atom(name) for name in (centre, *neighbours)]
+    x = np.array([atom.pos.tolist() for atom in atoms if atom is not None]) / ANGSTROM_PER_NM
     is_whole = len(x) == 4 and np.linalg.norm(x[1:] - x[0], axis=1).max() < _BONDED
     size = float(volume(x)) if is_whole else 0.0
     return int(np.sign(size)) if abs(size) > least else 0
@@ -90,13 +90,13 @@ def wrong_centres(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) 
 def mirror_images(structure: Structure) -> dict[str, Integers]:
     """Find chains that are mirror images: most stereocentres of their amino acids are D under names of L."""
     atoms = chiral_atoms(structure)
-    of = structure.atom_residue[atoms[:, 0]]
-    amino = np.isin(of, structure.atom_residue[structure.alpha_carbons])
-    atoms, of = atoms[amino], of[amino]
-    chain = structure.residue_chain[of]
-    is_other = ~structure.mirrored[of] & (volume(structure.positions[atoms]) < 0.0)
-    its = {str(name): chain == name for name in np.unique(chain)}
-    return {name: np.unique(of[there]) for name, there in its.items() if is_other[there].mean() > 0.5}
+    owner = structure.atom_residue[atoms[:, 0]]
+    amino = np.isin(owner, structure.atom_residue[structure.alpha_carbons])
+    atoms, owner = atoms[amino], owner[amino]
+    chain = structure.residue_chain[owner]
+    is_other = ~structure.mirrored[owner] & (volume(structure.positions[atoms]) < 0.0)
+    masks = {str(name): chain == name for name in np.unique(chain)}
+    return {name: np.unique(owner[mask]) for name, mask in masks.items() if is_other[mask].mean() > 0.5}
 
 
 def with_mirror_images(structure: Structure) -> Structure:
@@ -114,40 +114,40 @@ def chiral_atoms(structure: Structure) -> Integers:
     the mirror image of its source, and any other what its source says.
     """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
-    named = np.isin(structure.residue_name, [*NUCLEOTIDES])
-    named[[*structure.glycans]] = True
-    for i in np.flatnonzero(~structure.kept | (structure.mobile & named[structure.atom_residue])).tolist():
+    is_sugar = np.isin(structure.residue_name, [*NUCLEOTIDES])
+    is_sugar[[*structure.glycans]] = True
+    for i in np.flatnonzero(~structure.kept | (structure.mobile & is_sugar[structure.atom_residue])).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
     sugars = {r: sugar_centres(letters_of(code)) for r, code in structure.glycans.items()}
-    found = {
+    quartets = {
         at[centre]: [at[name] for name in (centre, *neighbours)]
         for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
         for centre, neighbours in sugars.get(r, centres(str(residue))).items()
         # Not of dehydroamino acids, whose C-alpha is planar.
         if {centre, *neighbours} <= at.keys() and len(structure.neighbours[at[centre]]) > 3
     }
-    name, of = structure.atom_name, structure.atom_residue
-    for bound in (*structure.ligands, *structure.fragments):
-        sourced = [row for row in _of_source(bound) if min(row) >= 0]
-        alphas = (row for row in sourced if name[row[0]] == "CA")
-        are_l = {of[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _OF_L}
-        for i, a, b, c in sourced:
-            found[i] = [i, b, a, c] if structure.mirrored[of[i]] and of[i] not in are_l else [i, a, b, c]
-    rows = np.array([*found.values()], dtype=np.int64).reshape(-1, 4)
+    name, res = structure.atom_name, structure.atom_residue
+    for ligand in (*structure.ligands, *structure.fragments):
+        source_rows = [row for row in _source_centres(ligand) if min(row) >= 0]
+        alphas = (row for row in source_rows if name[row[0]] == "CA")
+        are_l = {res[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _OF_L}
+        for i, a, b, c in source_rows:
+            quartets[i] = [i, b, a, c] if structure.mirrored[res[i]] and res[i] not in are_l else [i, a, b, c]
+    rows = np.array([*quartets.values()], dtype=np.int64).reshape(-1, 4)
     ends = np.sort(np.stack(np.broadcast_arrays(rows[:, :1], rows[:, 1:])), axis=0)
     bonded = np.sort(structure.bonds, axis=1) @ [structure.n_atoms, 1]
     return rows[np.isin(ends[0] * structure.n_atoms + ends[1], bonded).all(axis=1)]
 
 
-def _of_source(bound: BoundLigand) -> Iterator[list[int]]:
+def _source_centres(ligand: BoundLigand) -> Iterator[list[int]]:
     """Stereocentres of a molecule, each with three neighbours, heavy ones first; -1 of a cap's atom."""
-    molecule = bound.ligand.molecule
+    molecule = ligand.ligand.molecule
     near = neighbours(molecule.bonds, molecule.n_atoms)
     for centre in np.flatnonzero(molecule.handedness).tolist():
-        its = near[centre]
-        order = sorted(range(len(its)), key=lambda k: (molecule.elements[its[k]] == 1, k))
+        bonded = near[centre]
+        order = sorted(range(len(bonded)), key=lambda k: (molecule.elements[bonded[k]] == 1, k))
         swaps = sum(a > b for a, b in combinations(order, 2))
         # RDKit's clockwise: the first three neighbours span a negative volume.
         positive = (molecule.handedness[centre] == 2) == (swaps % 2 == 0)
-        a, b, c = (its[k] for k in order[:3])
-        yield bound.atoms[[centre, *((a, b, c) if positive else (b, a, c))]].tolist()
+        a, b, c = (bonded[k] for k in order[:3])
+        yield ligand.atoms[[centre, *((a, b, c) if positive else (b, a, c))]].tolist()

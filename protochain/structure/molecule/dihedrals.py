@@ -27,12 +27,12 @@ def finder(
     chain, names = structure.residue_chain_index.tolist(), structure.residue_name.tolist()
 
     def atom_at(residue: int, name: str) -> int | None:
-        other = residue + {"+": 1, "-": -1}.get(name[-1], 0)
-        if not 0 <= other < structure.n_residues or chain[other] != chain[residue]:
+        neighbour = residue + {"+": 1, "-": -1}.get(name[-1], 0)
+        if not 0 <= neighbour < structure.n_residues or chain[neighbour] != chain[residue]:
             return None
-        return index[other].get(name.rstrip("+-"))
+        return index[neighbour].get(name.rstrip("+-"))
 
-    def found(r: int) -> list[NamedDihedral]:
+    def dihedrals_of(r: int) -> list[NamedDihedral]:
         psi = residues.PSI_TERMINAL if atom_at(r, "N+") is None else residues.PSI
         table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI), ("psi", "psi", psi)]
         table.append(("omega", "omega", residues.OMEGA))
@@ -42,22 +42,22 @@ def finder(
         table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(names[r], {}).items()]
         return [(kind, label, [atom_at(r, n) for n in four]) for kind, label, four in table if kind in kinds]
 
-    return index, found
+    return index, dihedrals_of
 
 
 def dihedrals(structure: Any) -> "pd.DataFrame":
     """Dihedrals in degrees: a row a residue of the protein, as :meth:`Structure.dihedrals`."""
     import pandas as pd
 
-    _, its = finder(structure, ("phi", "psi", "omega", "chi"))
-    own = np.unique(structure.atom_residue[~structure.kept]).tolist()
-    rows = [(r, label, atoms) for r in own for _, label, atoms in its(r) if None not in atoms]
+    _, dihedrals_of = finder(structure, ("phi", "psi", "omega", "chi"))
+    protein = np.unique(structure.atom_residue[~structure.kept]).tolist()
+    rows = [(r, label, atoms) for r in protein for _, label, atoms in dihedrals_of(r) if None not in atoms]
     atoms = np.array([atoms for *_, atoms in rows], dtype=np.int64).reshape(-1, 4)
     values = np.degrees(dihedral(*structure.positions[atoms].swapaxes(0, 1)))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     table = pd.DataFrame(
         {"chain": structure.residue_chain, "residue": number, "name": structure.residue_name_in_file}
-    ).loc[own]
+    ).loc[protein]
     table = table.assign(**dict.fromkeys(_SHOWN, np.nan))
     for (r, label, _), value in zip(rows, values.tolist(), strict=True):
         table.loc[r, label] = value

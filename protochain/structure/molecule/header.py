@@ -44,8 +44,8 @@ def quote_names(block: gemmi.cif.Block) -> None:
     for loop in (item.loop for item in block if item.loop is not None):
         for k, value in enumerate(loop.values):
             quoted = value[-1:] == value[:1] != value or "\n" in value
-            odd = not value or " " in value or value.startswith(_SPECIAL)
-            if odd and not (quoted and value[0] in "'\";"):
+            needs_quotes = not value or " " in value or value.startswith(_SPECIAL)
+            if needs_quotes and not (quoted and value[0] in "'\";"):
                 loop[divmod(k, loop.width())] = gemmi.cif.quote(value)
 
 
@@ -59,35 +59,35 @@ def with_header(header: str) -> gemmi.Structure:
     return out
 
 
-def update_entities(out: gemmi.Structure, *, whole: bool) -> None:
+def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     """Make entities and secondary structure those of the residues that are there."""
-    there: dict[str, list[gemmi.Residue]] = {}
+    residues_of: dict[str, list[gemmi.Residue]] = {}
     for model in out:
         for chain in model:
             for residue in chain:
-                there.setdefault(residue.subchain, []).append(residue)
-    kept = []
+                residues_of.setdefault(residue.subchain, []).append(residue)
+    entities = []
     for entity in out.entities:
-        entity.subchains = [each for each in dict.fromkeys(entity.subchains) if each in there]
-        if entity.subchains and _fits(entity, there):
-            kept.append(entity)
-            for each in entity.subchains:
-                del there[each]
-    kept += [_entity(name, residues, whole) for name, residues in there.items()]
-    _name_apart(kept)
-    out.entities = gemmi.EntityList(kept)
+        entity.subchains = [label for label in dict.fromkeys(entity.subchains) if label in residues_of]
+        if entity.subchains and _fits(entity, residues_of):
+            entities.append(entity)
+            for label in entity.subchains:
+                del residues_of[label]
+    entities += [_entity(name, residues, complete) for name, residues in residues_of.items()]
+    _make_names_unique(entities)
+    out.entities = gemmi.EntityList(entities)
     # Those in the list are copies; the ones that were in it before are gone.
-    of = {each: (entity.name, entity.entity_type) for entity in out.entities for each in entity.subchains}
+    info = {label: (entity.name, entity.entity_type) for entity in out.entities for label in entity.subchains}
     for model in out:
         for chain in model:
             for residue in chain:
-                residue.entity_id, residue.entity_type = of[residue.subchain]
-    _keep_annotations(out)
+                residue.entity_id, residue.entity_type = info[residue.subchain]
+    _filter_annotations(out)
 
 
-def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
+def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]]) -> bool:
     """Whether an entity of the file has a place for each residue; its sequence takes their present names."""
-    residues = [residue for subchain in entity.subchains for residue in there[subchain]]
+    residues = [residue for subchain in entity.subchains for residue in residues_of[subchain]]
     is_polymer = entity.entity_type == gemmi.EntityType.Polymer
     if any(is_polymer != (residue.entity_type == gemmi.EntityType.Polymer) for residue in residues):
         return False
@@ -99,29 +99,29 @@ def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
             return False
         names.setdefault(residue.label_seq, {})[residue.name] = None
     sequence = list(entity.full_sequence)
-    for place, there_now in names.items():
-        sequence[place - 1] = ",".join(there_now)
+    for place, present in names.items():
+        sequence[place - 1] = ",".join(present)
     entity.full_sequence = sequence
     return True
 
 
-def _entity(subchain: str, residues: list[gemmi.Residue], whole: bool) -> gemmi.Entity:
+def _entity(subchain: str, residues: list[gemmi.Residue], complete: bool) -> gemmi.Entity:
     """Make the entity of one subchain of which the file says nothing that fits."""
-    made = gemmi.Entity(subchain)
-    made.subchains = [subchain]
-    made.entity_type = residues[0].entity_type
-    if made.entity_type != gemmi.EntityType.Polymer:
+    entity = gemmi.Entity(subchain)
+    entity.subchains = [subchain]
+    entity.entity_type = residues[0].entity_type
+    if entity.entity_type != gemmi.EntityType.Polymer:
         water = all(residue.is_water() for residue in residues)
-        made.entity_type = gemmi.EntityType.Water if water else made.entity_type
-        return made
-    made.polymer_type = _polymer_type(residues)
+        entity.entity_type = gemmi.EntityType.Water if water else entity.entity_type
+        return entity
+    entity.polymer_type = _polymer_type(residues)
     places: dict[tuple[str, str], int] = {}
     for residue in residues:
         place = places.setdefault((str(residue.seqid), residue.name), len(places) + 1)
-        residue.label_seq = place if whole else None
-    if whole:
-        made.full_sequence = [name for _, name in places]
-    return made
+        residue.label_seq = place if complete else None
+    if complete:
+        entity.full_sequence = [name for _, name in places]
+    return entity
 
 
 def _polymer_type(residues: list[gemmi.Residue]) -> gemmi.PolymerType:
@@ -135,7 +135,7 @@ def _polymer_type(residues: list[gemmi.Residue]) -> gemmi.PolymerType:
     return gemmi.PolymerType.Rna if kinds == {True} else gemmi.PolymerType.Dna
 
 
-def _name_apart(entities: list[gemmi.Entity]) -> None:
+def _make_names_unique(entities: list[gemmi.Entity]) -> None:
     used: set[str] = set()
     for entity in entities:
         name, n = entity.name, 1
@@ -145,7 +145,7 @@ def _name_apart(entities: list[gemmi.Entity]) -> None:
         used.add(entity.name)
 
 
-def _keep_annotations(out: gemmi.Structure) -> None:
+def _filter_annotations(out: gemmi.Structure) -> None:
     """Keep helices, strands and modified residues that are there, under the names that these now have."""
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
@@ -154,7 +154,7 @@ def _keep_annotations(out: gemmi.Structure) -> None:
         for residue in chain
     }
 
-    def named(ends: Iterable[gemmi.AtomAddress]) -> bool:
+    def rename_ends(ends: Iterable[gemmi.AtomAddress]) -> bool:
         for end in ends:
             name = names.get((end.chain_name.strip(), str(end.res_id.seqid)))
             if name is None:
@@ -163,16 +163,16 @@ def _keep_annotations(out: gemmi.Structure) -> None:
         return True
 
     out.mod_residues = [
-        each for each in out.mod_residues
-        if names.get((each.chain_name.strip(), str(each.res_id.seqid))) == each.res_id.name
+        modified for modified in out.mod_residues
+        if names.get((modified.chain_name.strip(), str(modified.res_id.seqid))) == modified.res_id.name
     ]  # fmt: skip
-    out.helices = gemmi.HelixList([each for each in out.helices if named((each.start, each.end))])
+    out.helices = gemmi.HelixList([helix for helix in out.helices if rename_ends((helix.start, helix.end))])
     sheets = []
     for sheet in out.sheets:
-        strands = [each for each in sheet.strands if named((each.start, each.end))]
+        strands = [strand for strand in sheet.strands if rename_ends((strand.start, strand.end))]
         for strand in strands:
             bond = (strand.hbond_atom1, strand.hbond_atom2)
-            if strand.hbond_atom1.atom_name and not named(bond):
+            if strand.hbond_atom1.atom_name and not rename_ends(bond):
                 strand.hbond_atom1 = strand.hbond_atom2 = gemmi.AtomAddress()
         if strands:
             strands[0].sense = 0

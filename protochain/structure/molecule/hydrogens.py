@@ -36,74 +36,74 @@ _DECIMALS = 6
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
     """Place hydrogens that have no position: x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int."""
-    return _Placing(x, element, charge, bonds).placed()
+    return _Placement(x, element, charge, bonds).place()
 
 
-class _Placing:
+class _Placement:
     """Positions placed so far, and the bonded neighbours of each atom."""
 
     def __init__(self, x: Floats, element: list[str], charge: Floats, bonds: Integers) -> None:
         self.x, self.element, self.charge = np.array(x), element, charge
         self.missing = np.isnan(self.x[:, 0])
-        self.turned: list[int] = []
+        self.rotated: list[int] = []
         self.neighbours = neighbours(bonds, len(element))
 
-    def placed(self) -> Floats:
+    def place(self) -> Floats:
         """Place hydrogens whose position is determined, then those that rotate."""
         parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
         turning = []
-        for parent in self._between(parents):
+        for parent in self._place_opposite(parents):
             hydrogens = self._hydrogens(parent)
             directions = self._directions(parent, len(hydrogens))
             # A stray hydrogen more than a parent has room for goes where the energy is lowest.
             if directions is None or len(directions) < len(hydrogens):
                 turning.append(parent)
             else:
-                self._put(parent, hydrogens, directions)
-        still = np.flatnonzero(~self.missing)
-        self.still, self.tree = still, KDTree(self.x[still])
+                self._set_positions(parent, hydrogens, directions)
+        fixed = np.flatnonzero(~self.missing)
+        self.fixed, self.tree = fixed, KDTree(self.x[fixed])
         metals = {symbol for symbol in {*self.element} if gemmi.Element(symbol).is_metal}
-        self.metals = np.array([k for k in still.tolist() if self.element[k] in metals], dtype=np.int64)
+        self.metals = np.array([k for k in fixed.tolist() if self.element[k] in metals], dtype=np.int64)
         for parent in turning:
             self._turn_from_metals(parent)
             for hydrogen in self._hydrogens(parent):
                 self._turn(parent, hydrogen)
-                self.turned.append(hydrogen)
+                self.rotated.append(hydrogen)
         return self.x
 
-    def _between(self, parents: Iterable[int]) -> list[int]:
+    def _place_opposite(self, parents: Iterable[int]) -> list[int]:
         """Place those opposite two or three bonds, all at once; return the parents that are left."""
         kinds: dict[tuple[bool, int, int], list[list[int]]] = {}
-        left = []
+        remaining = []
         for parent in parents:
-            known, hydrogens = self._known(parent), self._hydrogens(parent)
-            is_one = len(known) == 3 or self._is_planar(parent)
-            if len(known) in (2, 3) and len(hydrogens) <= (1 if is_one else 2):
-                kind = is_one, len(known), len(hydrogens)
-                kinds.setdefault(kind, []).append([parent, *known, *hydrogens])
+            bonded, hydrogens = self._placed_neighbours(parent), self._hydrogens(parent)
+            is_one = len(bonded) == 3 or self._is_planar(parent)
+            if len(bonded) in (2, 3) and len(hydrogens) <= (1 if is_one else 2):
+                kind = is_one, len(bonded), len(hydrogens)
+                kinds.setdefault(kind, []).append([parent, *bonded, *hydrogens])
             else:
-                left.append(parent)
+                remaining.append(parent)
         for (is_one, n_known, n), rows in kinds.items():
-            at, near, made = np.split(np.array(rows), [1, 1 + n_known], axis=1)
+            at, near, placed = np.split(np.array(rows), [1, 1 + n_known], axis=1)
             to = _unit(self.x[near] - self.x[at])
             back = _unit(-to.sum(axis=1))
             up = _unit(cross(to[:, 1], to[:, 0]))
             along, across = (1.0, 0.0) if is_one else (np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL))
             pair = np.stack([along * back + across * up, along * back - across * up], axis=1)
             length = np.array([_LENGTH.get(self.element[k], _LENGTH["C"]) for k, *_ in rows])
-            self.x[made] = np.round(self.x[at] + length[:, None, None] * pair[:, :n], _DECIMALS)
-            self.missing[made] = False
-        return left
+            self.x[placed] = np.round(self.x[at] + length[:, None, None] * pair[:, :n], _DECIMALS)
+            self.missing[placed] = False
+        return remaining
 
     def _hydrogens(self, parent: int) -> list[int]:
         return [k for k in self.neighbours[parent] if self.missing[k]]
 
-    def _put(self, parent: int, hydrogens: list[int], directions: Floats) -> None:
+    def _set_positions(self, parent: int, hydrogens: list[int], directions: Floats) -> None:
         length = _LENGTH.get(self.element[parent], _LENGTH["C"])
         self.x[hydrogens] = np.round(self.x[parent] + length * directions, _DECIMALS)
         self.missing[hydrogens] = False
 
-    def _known(self, parent: int) -> list[int]:
+    def _placed_neighbours(self, parent: int) -> list[int]:
         return [k for k in self.neighbours[parent] if not self.missing[k]]
 
     def _is_planar(self, atom: int) -> bool:
@@ -118,36 +118,36 @@ class _Placing:
 
     def _directions(self, parent: int, n: int) -> Floats | None:
         """Return unit vectors (n, 3) to the hydrogens at one bond, or None where they rotate freely."""
-        known, planar = self._known(parent), self._is_planar(parent)
-        if len(known) == 1 and planar:
-            return self._around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
-        if len(known) == 1 and len(self.neighbours[parent]) > 2:
-            return self._around(parent, _TETRAHEDRAL, _STAGGERED[:n])
+        bonded, planar = self._placed_neighbours(parent), self._is_planar(parent)
+        if len(bonded) == 1 and planar:
+            return self._directions_around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
+        if len(bonded) == 1 and len(self.neighbours[parent]) > 2:
+            return self._directions_around(parent, _TETRAHEDRAL, _STAGGERED[:n])
         return None
 
-    def _around(self, parent: int, angle: float, turns: Floats) -> Floats:
+    def _directions_around(self, parent: int, angle: float, turns: Floats) -> Floats:
         """Directions (n, 3) by the angle to the parent's one known bond and the dihedral about it."""
-        (near,) = self._known(parent)[:1]
+        (near,) = self._placed_neighbours(parent)[:1]
         axis = _unit(self.x[near] - self.x[parent])
         behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
         heavy = [k for k in behind if self.element[k] != "H"]
-        arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _least(axis)
+        arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _perpendicular_axis(axis)
         arm = arm - (arm @ axis) * axis
-        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(cross(axis, _least(axis)))
+        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(cross(axis, _perpendicular_axis(axis)))
         n = cross(axis, m)
         aside = np.cos(turns)[:, None] * m + np.sin(turns)[:, None] * n
         return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
 
     def _turn(self, parent: int, hydrogen: int) -> None:
         """Rotate a hydrogen to its lowest energy."""
-        if self._known(parent):
+        if self._placed_neighbours(parent):
             is_water = all(self.element[k] == "H" for k in self.neighbours[parent])
             angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
-            choices = self._around(parent, angle, _TURNS)
+            choices = self._directions_around(parent, angle, _TURNS)
         else:
             choices = sphere(len(_TURNS))
         energy = self._energies(parent, hydrogen, choices)
-        self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
+        self._set_positions(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
 
     def _energies(self, parent: int, hydrogen: int, choices: Floats) -> Floats:
         """(n,) kJ/mol of a hydrogen in directions (n, 3)."""
@@ -165,22 +165,22 @@ class _Placing:
         if len(hydrogens) != 2 or len(self.neighbours[parent]) != 2 or not len(to):
             return
         away = _unit(_unit(to).sum(axis=0))
-        side = _unit(cross(away, _least(away)))
+        side = _unit(cross(away, _perpendicular_axis(away)))
         across = np.cos(_TURNS)[:, None] * side + np.sin(_TURNS)[:, None] * cross(away, side)
         pair = np.stack(
             [np.cos(0.5 * _WATER) * away + np.sin(0.5 * _WATER) * s * across for s in (1, -1)], axis=1
         )
         energy = sum(self._energies(parent, hydrogen, pair[:, k]) for k, hydrogen in enumerate(hydrogens))
-        self._put(parent, hydrogens, pair[int(np.argmin(np.round(energy, 6)))])
-        self.turned += hydrogens
+        self._set_positions(parent, hydrogens, pair[int(np.argmin(np.round(energy, 6)))])
+        self.rotated += hydrogens
 
     def _near(self, parent: int) -> Integers:
         """Placed atoms within reach, without the parent and its neighbours."""
-        close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
-        away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
-        found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
-        own = {parent, *self.neighbours[parent]}
-        return np.array([k for k in found.tolist() if k not in own], dtype=np.int64)
+        close = self.fixed[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
+        away = np.linalg.norm(self.x[self.rotated] - self.x[parent], axis=1)
+        close_atoms = np.concatenate([close, np.array(self.rotated, dtype=np.int64)[away < _REACH]])
+        excluded = {parent, *self.neighbours[parent]}
+        return np.array([k for k in close_atoms.tolist() if k not in excluded], dtype=np.int64)
 
 
 def _unit(v: Floats) -> Floats:
@@ -189,6 +189,6 @@ def _unit(v: Floats) -> Floats:
     return np.where(length > 1e-9, v / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
 
 
-def _least(axis: Floats) -> Floats:
+def _perpendicular_axis(axis: Floats) -> Floats:
     """Return the unit vector of the coordinate axis most nearly perpendicular to an axis."""
     return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])

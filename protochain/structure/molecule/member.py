@@ -94,7 +94,7 @@ def address_of(place: gemmi.AtomAddress) -> Address:
 
 def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:
     """Make an atom (angstrom)."""
-    made = gemmi.Atom()
-    made.name, made.element, made.b_iso = name, gemmi.Element(element), b_iso
-    made.pos = gemmi.Position(*position)
-    return made
+    new = gemmi.Atom()
+    new.name, new.element, new.b_iso = name, gemmi.Element(element), b_iso
+    new.pos = gemmi.Position(*position)
+    return new

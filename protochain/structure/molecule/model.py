@@ -51,21 +51,21 @@ class BoundLigand(Value):
 
     def in_energy(self) -> str:
         """What of it determines the energy, in whatever order its atoms and terms are."""
-        its = self.ligand.parameters
+        parameters = self.ligand.parameters
         rows = []
-        for term in (its.bonds, its.angles, its.torsions):
+        for term in (parameters.bonds, parameters.angles, parameters.torsions):
             for atoms, values in zip(self.atoms[term.atoms].tolist(), term.parameters, strict=True):
-                rows.append((min(atoms, atoms[::-1]), _rounded(values)))
-        single = np.column_stack([its.charge, its.sigma, its.epsilon])
-        rows += zip(([k] for k in self.atoms.tolist()), _rounded(single), strict=True)
+                rows.append((min(atoms, atoms[::-1]), _round(values)))
+        single = np.column_stack([parameters.charge, parameters.sigma, parameters.epsilon])
+        rows += zip(([k] for k in self.atoms.tolist()), _round(single), strict=True)
         core = sorted(zip(self.atoms.tolist(), self.core, strict=True)) if self.core else ""
         return f"{sorted(rows)!r}{core}"
 
 
-def _rounded(values: Floats) -> list[Any]:
+def _round(values: Floats) -> list[Any]:
     """Numbers without the digits that differ with the order of sums, and without negative zeros."""
-    found: list[Any] = (np.round(values, _DIGITS) + 0.0).tolist()
-    return found
+    numbers: list[Any] = (np.round(values, _DIGITS) + 0.0).tolist()
+    return numbers
 
 
 _DIGITS = 9
@@ -177,9 +177,9 @@ class Structure(Value):
         b_factor = self.b_factor if len(self.b_factor) else np.zeros(self.n_atoms)
         object.__setattr__(self, "b_factor", read_only(b_factor))
         for name in ("obstacle", "mobile", "mirrored", "built"):
-            given = getattr(self, name)
+            values = getattr(self, name)
             n = self.n_residues if name == "mirrored" else self.n_atoms
-            mask = given if len(given) else np.zeros(n, dtype=bool)
+            mask = values if len(values) else np.zeros(n, dtype=bool)
             object.__setattr__(self, name, read_only(mask, np.bool_))
         object.__setattr__(self, "links", read_only(self.links, np.int64))
         occupancy = self.occupancy if len(self.occupancy) else np.ones(self.n_atoms)
@@ -286,10 +286,10 @@ class Structure(Value):
     @property
     def neighbours(self) -> Neighbours:
         """Atoms bonded to each atom, in the order of the bonds; found once for all frames."""
-        if neighbours not in self.derived:
-            self.derived[neighbours] = neighbours(self.bonds, self.n_atoms)
-        its: Neighbours = self.derived[neighbours]
-        return its
+        if neighbours not in self.shared_cache:
+            self.shared_cache[neighbours] = neighbours(self.bonds, self.n_atoms)
+        table: Neighbours = self.shared_cache[neighbours]
+        return table
 
     @cached_property
     def alpha_carbons(self) -> Integers:
@@ -300,9 +300,9 @@ class Structure(Value):
     @cached_property
     def kept(self) -> NDArray[np.bool_]:
         """(na,) bool: atoms outside the protein: obstacles, mobile ones, ions that move with the protein."""
-        beside = self.obstacle | self.mobile
-        beside[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
-        return read_only(beside, np.bool_)
+        hetero = self.obstacle | self.mobile
+        hetero[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
+        return read_only(hetero, np.bool_)
 
     @cached_property
     def formal_charge(self) -> Integers:
@@ -310,7 +310,7 @@ class Structure(Value):
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property
-    def derived(self) -> dict[Any, Any]:
+    def shared_cache(self) -> dict[Any, Any]:
         """What functions found of all but the positions, shared by what :meth:`with_positions` makes."""
         return {}
 
@@ -326,8 +326,8 @@ class Structure(Value):
         seen.update(repr(self.ties).encode())
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
-        for each in (*self.ligands, *self.fragments):
-            seen.update(each.in_energy().encode())
+        for ligand in (*self.ligands, *self.fragments):
+            seen.update(ligand.in_energy().encode())
         if self.glycans:
             seen.update(repr(sorted(self.glycans.items())).encode())
         return seen.hexdigest()
@@ -362,9 +362,9 @@ class Structure(Value):
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""
-        moved, _ = replace(self, positions=x), self.derived
+        moved, _ = replace(self, positions=x), self.shared_cache
         # Attributes that are derived do not depend on the positions.
-        moved.__dict__.update({name: its for name, its in vars(self).items() if name not in vars(moved)})
+        moved.__dict__.update({name: value for name, value in vars(self).items() if name not in vars(moved)})
         return moved
 
     def dihedrals(self) -> "pd.DataFrame":
@@ -405,28 +405,28 @@ def per_structure(find: Callable[Concatenate[Structure, P], R]) -> Callable[Conc
     """Keep what a function finds of a structure, whatever its positions, for all that share its atoms."""
 
     @wraps(find)
-    def found(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
+    def cached(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
         key = (find, args, *kwargs.items())
-        if key not in structure.derived:
-            structure.derived[key] = find(structure, *args, **kwargs)
-        its: R = structure.derived[key]
-        return its
+        if key not in structure.shared_cache:
+            structure.shared_cache[key] = find(structure, *args, **kwargs)
+        value: R = structure.shared_cache[key]
+        return value
 
-    return found
+    return cached
 
 
 def per_positions(find: Callable[[Structure, Floats], R]) -> Callable[[Structure, Floats], R]:
     """Keep what a function finds at positions x (na, 3), those of the last two: start and end of a run."""
 
     @wraps(find)
-    def found(structure: Structure, x: Floats) -> R:
-        last = structure.derived.setdefault(find, deque(maxlen=2))
-        for at, its in (*last,):
-            if np.array_equal(at, x):
-                known: R = its
-                return known
+    def cached(structure: Structure, x: Floats) -> R:
+        last = structure.shared_cache.setdefault(find, deque(maxlen=2))
+        for position, stored in (*last,):
+            if np.array_equal(position, x):
+                value: R = stored
+                return value
         last.append((np.array(x), find(structure, x)))
-        new: R = last[-1][1]
-        return new
+        result: R = last[-1][1]
+        return result
 
-    return found
+    return cached

@@ -286,10 +286,10 @@ class Count:
 
     n: int
     kind: str
-    why: str = ""
+    reason: str = ""
 
     def __str__(self) -> str:
-        return f"{self.n} {self.kind}{self.why and f' ({self.why})'}"
+        return f"{self.n} {self.kind}{self.reason and f' ({self.reason})'}"
 
 
 @dataclass(frozen=True)
@@ -376,41 +376,41 @@ class Repair(Value):
     def __repr__(self) -> str:
         return f"<Repair {self.kind.name}: {self}>"
 
-    def sentence(self, say: Render = str) -> str:
+    def sentence(self, render: Render = str) -> str:
         """Tell it in a sentence."""
-        return _filled(self.kind.value.one, self, say)
+        return _fill(self.kind.value.one, self, render)
 
 
 class _Form(Formatter):
     """Fills templates: a list's format is how many are shown, or ``and``; a count's, ``n`` and its word."""
 
-    def __init__(self, say: Render) -> None:
-        self.say = say
+    def __init__(self, render: Render) -> None:
+        self.render = render
 
     def format_field(self, value: Any, spec: str) -> str:
         if isinstance(value, Argument):
-            return self.say(value)
+            return self.render(value)
         if isinstance(value, ProtochainError):
-            return value.told(self.say)
+            return value.told(self.render)
         if isinstance(value, tuple):
-            each = [str(one) for one in value]
-            return " and ".join(each) if spec == "and" else listed(each, int(spec or len(each)))
+            texts = [str(item) for item in value]
+            return " and ".join(texts) if spec == "and" else listed(texts, int(spec or len(texts)))
         if spec.startswith("n "):
             return counted(value, spec[2:])
         return str(super().format_field(value, spec))
 
 
-def _filled(template: str, repair: Repair, say: Render) -> str:
-    return _Form(say).vformat(template, (), repair.facts)
+def _fill(template: str, repair: Repair, render: Render) -> str:
+    return _Form(render).vformat(template, (), repair.facts)
 
 
-def summarise(repairs: Iterable[Repair], say: Render = str) -> tuple[str, ...]:
+def summarise(repairs: Iterable[Repair], render: Render = str) -> tuple[str, ...]:
     """Summarise repairs."""
     groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
     for repair in repairs:
-        groups[_group(repair, say)].append(repair)
+        groups[_group(repair, render)].append(repair)
     return tuple(
-        _in_words(*group, groups[group], say) for group in sorted(groups, key=lambda group: group[0])
+        _in_words(*group, groups[group], render) for group in sorted(groups, key=lambda group: group[0])
     )
 
 
@@ -429,53 +429,53 @@ def needs_action(repair: Repair) -> bool:
 
 def counts_of_changes(repairs: Iterable[Repair]) -> str:
     """Count in one line what was added to a file, kept with the protein and removed."""
-    of: dict[Kind, list[Mapping[str, Any]]] = defaultdict(list)
+    log: dict[Kind, list[Mapping[str, Any]]] = defaultdict(list)
     for repair in repairs:
-        of[repair.kind].append(repair.facts)
-    completed = len(of[Kind.ATOMS_ADDED]) + len(of[Kind.OXT_ADDED])
-    molecules = [count for facts in of[Kind.LEFT_OUT] for count in facts["counts"]]
-    kept = [
-        str(count) for kind in (Kind.KEPT, Kind.KEPT_BY_ELEMENT) for f in of[kind] for count in f["counts"]
+        log[repair.kind].append(repair.facts)
+    completed = len(log[Kind.ATOMS_ADDED]) + len(log[Kind.OXT_ADDED])
+    molecules = [count for facts in log[Kind.LEFT_OUT] for count in facts["counts"]]
+    included = [
+        str(count) for kind in (Kind.KEPT, Kind.KEPT_BY_ELEMENT) for f in log[kind] for count in f["counts"]
     ]
-    added = [counted(facts["count"], "hydrogen") for facts in of[Kind.HYDROGENS_ADDED]]
+    added = [counted(facts["count"], "hydrogen") for facts in log[Kind.HYDROGENS_ADDED]]
     added += [f"missing atoms of {counted(completed, 'residue')}"] if completed else []
-    removed = [counted(facts["count"], "water") for facts in of[Kind.WATERS_LEFT_OUT]]
+    removed = [counted(facts["count"], "water") for facts in log[Kind.WATERS_LEFT_OUT]]
     removed += [f"{count.n} {count.kind}" for count in molecules]
-    removed += [f"altlocs of {counted(len(of[Kind.ALTERNATES]), 'residue')}"] if of[Kind.ALTERNATES] else []
-    parts = (added, "added"), (kept, "kept"), (removed, "removed")
+    removed += [f"altlocs of {counted(len(log[Kind.ALTERNATES]), 'residue')}"] if log[Kind.ALTERNATES] else []
+    parts = (added, "added"), (included, "kept"), (removed, "removed")
     return "; ".join(f"{listed(names, _SHOWN)} {verb}" for names, verb in parts if names)
 
 
-def _group(repair: Repair, say: Render) -> tuple[Rank, str]:
+def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
     """Rank of a repair in the summary, and what it says, alike for those in one line."""
     one, many, rank = repair.kind.value
     if rank is Rank.GAP:
         return rank, ""
     if repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN) and repair.facts["state"] in _HISTIDINES:
         return Rank.HISTIDINE, ""
-    return rank, _filled(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, say)
+    return rank, _fill(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, render)
 
 
-def _in_words(rank: Rank, what: str, alike: list[Repair], say: Render) -> str:
+def _in_words(rank: Rank, change: str, alike: list[Repair], render: Render) -> str:
     """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
     if rank is Rank.HISTIDINE:
-        of: dict[str, list[str]] = defaultdict(list)
-        for each in alike:
-            of[each.facts["state"]].append(each.facts["residue"].place)
-        return "HIS states: " + "; ".join(f"{state} {listed(of[state], _SHOWN)}" for state in sorted(of))
+        his: dict[str, list[str]] = defaultdict(list)
+        for item in alike:
+            his[item.facts["state"]].append(item.facts["residue"].place)
+        return "HIS states: " + "; ".join(f"{state} {listed(his[state], _SHOWN)}" for state in sorted(his))
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
-        return alike[0].sentence(say)
+        return alike[0].sentence(render)
     if rank is Rank.GAP:
         gaps = [
-            f"{each['last'].place}-{each['first'].number} ({each['length']:.1f} angstrom)"
-            for each in (repair.facts for repair in alike)
+            f"{gap['last'].place}-{gap['first'].number} ({gap['length']:.1f} angstrom)"
+            for gap in (repair.facts for repair in alike)
         ]
         return (
             f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"
         )
     places = [str(repair.facts["residue"]) for repair in alike]
-    return f"{what} in {len(places)} residues: {listed(places, _SHOWN)}"
+    return f"{change} in {len(places)} residues: {listed(places, _SHOWN)}"
 
 
 _HISTIDINES = ("HID", "HIE", "HIP")

@@ -52,13 +52,13 @@ def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:
     first, sides = (4, "RLLRR") if is_sialic else (2, _FISCHER[code[0].upper()])
     amine = "C5" if is_sialic else "C2" if code[0] in "YWV" else ""
     is_alpha = code[1] in "AL"
-    found = {"C2": ("O6", "C3", "C1") if is_alpha else ("C3", "O6", "C1")}
+    centres = {"C2": ("O6", "C3", "C1") if is_alpha else ("C3", "O6", "C1")}
     if not is_sialic:
-        found = {"C1": ("O5", "C2", "H1") if is_alpha == is_d else ("C2", "O5", "H1")}
+        centres = {"C1": ("O5", "C2", "H1") if is_alpha == is_d else ("C2", "O5", "H1")}
     for k, side in enumerate(sides, first):
         ends = (f"C{k + 1}", f"C{k - 1}") if (side == "R") == is_d else (f"C{k - 1}", f"C{k + 1}")
-        found[f"C{k}"] = (*ends, f"{'N' if amine == f'C{k}' else 'O'}{k}")
-    return found
+        centres[f"C{k}"] = (*ends, f"{'N' if amine == f'C{k}' else 'O'}{k}")
+    return centres
 
 
 _SUBSTITUTED = {

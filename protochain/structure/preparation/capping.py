@@ -118,7 +118,7 @@ class FragmentBuilder:
             a for a, (z, _) in graph.atoms.items() if a.startswith(tag) and z != _H and a not in self.at
         ]
         far = [a for a in absent if not self.at.keys() & {*graph.heavy(a)}]
-        graph.drop([y for x in far for y in (x, *graph.light(x))])
+        graph.remove([y for x in far for y in (x, *graph.light(x))])
 
     def _absent_at(self, a: str) -> list[str]:
         """An oxygen of a nucleotide, by whatever name, that leaves where its strand goes on."""
@@ -189,8 +189,8 @@ class FragmentBuilder:
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
         for end in () if along else (a, b):
-            graph.turn(end)
-        left = {end: graph.leave(end, absent, self.flagged) for end in (a, b)}
+            graph.swap_oxygens(end)
+        left = {end: graph.drop_groups(end, absent, self.flagged) for end in (a, b)}
         free = {end: freed for end, (_, freed) in left.items()}
         is_double = (max(free.values()) > 1 or is_short) and all(
             free[end] + len(graph.light(end)) > 1
@@ -202,7 +202,7 @@ class FragmentBuilder:
         adds = not carbons and not gone and not self.flagged & {*graph.light(a), *graph.light(b)}
         for end in (a, b):
             single = self._single(end) + (graph.acceptors(end) if adds else [])
-            gone += graph.give(end, 1 + is_double, free[end], single, self.hydrogens)
+            gone += graph.free_valences(end, 1 + is_double, free[end], single, self.hydrogens)
         graph.bonds[frozenset((a, b))] = 1 + is_double
         return tuple(gone)
 
@@ -232,7 +232,7 @@ class FragmentBuilder:
             elif before is None and part.is_strand and n in graph.atoms and n not in self.at:
                 # The strand begins with a hydroxyl.
                 ends = [x for x in graph.heavy(n) if len(graph.heavy(x)) == 1]
-                graph.drop(
+                graph.remove(
                     [y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())]
                 )
             return
@@ -255,8 +255,8 @@ class FragmentBuilder:
         prefix += ":"
         if a not in self.graph.atoms:
             raise StructureError(f"its chemistry has no {own}")
-        _, freed = self.graph.leave(a, self._absent_at(a), self.flagged)
-        self.graph.give(a, 1, freed, ())
+        _, freed = self.graph.drop_groups(a, self._absent_at(a), self.flagged)
+        self.graph.free_valences(a, 1, freed, ())
         for name, z in atoms.items():
             self.graph.atoms[prefix + name] = [z, 0]
         self.graph.bonds[frozenset((a, prefix + next(iter(atoms))))] = 1
@@ -332,11 +332,11 @@ def _parametrised(
     graph.add("", made)
     for prefix in amines:
         caps = [prefix + name for name in ("C-", "O-", "CA-")]
-        graph.drop([y for x in caps for y in (x, *graph.light(x))])
+        graph.remove([y for x in caps for y in (x, *graph.light(x))])
         graph.atoms[prefix + "N"][1] = 1
     for prefix in acids:
         caps = [prefix + name for name in ("N+", "CA+")]
-        graph.drop([y for x in caps for y in (x, *graph.light(x))])
+        graph.remove([y for x in caps for y in (x, *graph.light(x))])
         graph.atoms[prefix + "OXT"] = [_O, -1]
         graph.bonds[frozenset((prefix + "C", prefix + "OXT"))] = 1
     molecule = graph.molecule(source) if acids or amines else made
