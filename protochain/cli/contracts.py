@@ -186,12 +186,12 @@ _CHANGED = {
 _BOND = _row("kind change first second")
 
 _SETTINGS = {
-    simulation.RENAMED.get(name, name): kind
+    simulation.RECORD_NAMES.get(name, name): kind
     for name, kind in get_type_hints(SimulationSettings).items()
 } | {"pull": str | None, "hinge_springs": list[str] | None, "restraint": list[str] | None}  # fmt: skip
 _SIMULATED = {
     **_row(simulation.RECORD), **_SETTINGS,
-    **_optional(_row(simulation.PULLED)), **_ORIGIN,
+    **_optional(_row(simulation.PULL_COLUMNS)), **_ORIGIN,
 }  # fmt: skip
 _LOG = {
     **_row("step time_ps kinetic_kj_mol potential_kj_mol total_kj_mol conserved_kj_mol temperature_k"),

@@ -24,7 +24,7 @@ from protochain.structure.formats.trajectory import TrajectoryFile, check_trajec
 from protochain.structure.write import common_suffix
 
 CHECKPOINT = "checkpoint.npz"
-_STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
+_OUTPUTS = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
 _PART = "log.part.csv"
 _END = "\r\n"
 """End of a line of the log, as in the csv module."""
@@ -32,7 +32,7 @@ _END = "\r\n"
 
 def files_of(path: Path, suffix: str) -> list[Path]:
     """Files that a simulation may write or delete in its folder."""
-    return [path / name for name in (*_STALE, _PART, f"trajectory.{suffix}", f"trajectory.part.{suffix}")]
+    return [path / name for name in (*_OUTPUTS, _PART, f"trajectory.{suffix}", f"trajectory.part.{suffix}")]
 
 
 def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
@@ -49,10 +49,10 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
 
 
 def _open_checkpoint(path: Path, settings: Mapping[str, Any]) -> AbstractContextManager[Checkpoint]:
-    return checkpoint(path / CHECKPOINT, settings, "simulation", *_AGAIN)
+    return checkpoint(path / CHECKPOINT, settings, "simulation", *_RESTART)
 
 
-_AGAIN = "start again with ", Argument("force", True)
+_RESTART = "start again with ", Argument("force", True)
 
 CONSTANTS = ("loop_lengths", "pull_start", "hinge_rest")
 """Constants that a run measures at its start: distances at closed loops, nm, the distance between the places
@@ -85,7 +85,7 @@ class Folder:
         """Create the files of a simulation that starts at positions (na, 3)."""
         self.start = start
         self.path.mkdir(parents=True, exist_ok=True)
-        remove_files(self.path / name for name in (*_STALE, self.trajectory.name))
+        remove_files(self.path / name for name in (*_OUTPUTS, self.trajectory.name))
         self._frames = TrajectoryFile(self.trajectory, structure, frame_interval)
         with writing(self.log):
             self._rows = GrowingTable(self.log_part, columns, end=_END)
@@ -108,7 +108,7 @@ class Folder:
         log = self.log_part if self.log_part.exists() else self.log
         text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
         if len(text) < values["log_bytes"]:
-            raise ProtochainError(f"{log}: rows before the checkpoint are missing; ", *_AGAIN)
+            raise ProtochainError(f"{log}: rows before the checkpoint are missing; ", *_RESTART)
         columns = columns_of(state, self.start)
         try:
             reader = csv.DictReader(text.decode().splitlines())
@@ -116,7 +116,7 @@ class Folder:
             if list(reader.fieldnames or ()) != columns:
                 raise ValueError("other columns")
         except (TypeError, ValueError, csv.Error) as error:
-            raise ProtochainError(f"{log}: damaged log ({error}); ", *_AGAIN) from None
+            raise ProtochainError(f"{log}: damaged log ({error}); ", *_RESTART) from None
         self._frames = TrajectoryFile(
             self.trajectory, structure, frame_interval, (values["frames"], values["trajectory_bytes"])
         )

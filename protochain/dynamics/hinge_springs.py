@@ -28,11 +28,11 @@ class HingeSprings:
 
     def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
         """Energy and torques (n_v,)."""
-        away = q[self.at_q] - self.rest_values
+        deviation = q[self.at_q] - self.rest_values
         # 2 sin^2(x/2) is 1 - cos x without cancellation.
-        energy = np.where(self.is_angle, 0.5 * away**2, 2.0 * np.sin(0.5 * away) ** 2)
+        energy = np.where(self.is_angle, 0.5 * deviation**2, 2.0 * np.sin(0.5 * deviation) ** 2)
         torque = np.zeros(self.n_v)
-        np.add.at(torque, self.at_v, -self.stiffness * np.where(self.is_angle, away, np.sin(away)))
+        np.add.at(torque, self.at_v, -self.stiffness * np.where(self.is_angle, deviation, np.sin(deviation)))
         return float(self.stiffness @ energy), torque
 
 

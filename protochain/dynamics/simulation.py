@@ -179,7 +179,7 @@ class Simulation(ViolationsAtEnd):
 
     def record(self) -> dict[str, Any]:
         """Return the simulation as flat values for JSON."""
-        settings = {RENAMED.get(name, name): value for name, value in self.settings.record().items()}
+        settings = {RECORD_NAMES.get(name, name): value for name, value in self.settings.record().items()}
         settings["time_step_fs"] *= 1000
         return {column.key: column.value(self) for column in RECORD} | settings | self._pull_record()
 
@@ -217,7 +217,7 @@ def describe_outcome(
     )
 
 
-RENAMED = {
+RECORD_NAMES = {
     "temperature": "temperature_k", "time_step": "time_step_fs", "friction": "friction_per_ps",
     "hydrogen_mass": "hydrogen_mass_amu", "every": "every_steps",
 }  # fmt: skip
@@ -260,7 +260,7 @@ RECORD = (
     Column("threads", lambda r: r.energy_function.threads, kind=int | None),
 )  # fmt: skip
 """Columns of a record in addition to the settings."""
-PULLED = (
+PULL_COLUMNS = (
     "pull_stiffness_kj_mol_nm2", "pull_speed_nm_ps", "pull_distance_start_nm", "pull_distance_end_nm",
     "pull_work_end_kj_mol", "pull_force_largest_kj_mol_nm",
 )  # fmt: skip

@@ -79,9 +79,9 @@ class Langevin(Thermostat):
         self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Apply friction and noise."""
-        keep = np.exp(-self.friction * abs(time_step))
-        noise = np.sqrt((1.0 - keep * keep) * self.thermal_energy) * random().standard_normal(system.tree.n_v)
-        after = system.with_velocities(at, keep * at.qd + sample(at.factors, noise))
+        c = np.exp(-self.friction * abs(time_step))
+        noise = np.sqrt((1.0 - c * c) * self.thermal_energy) * random().standard_normal(system.tree.n_v)
+        after = system.with_velocities(at, c * at.qd + sample(at.factors, noise))
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
 
@@ -113,13 +113,13 @@ class Rescaling(Thermostat):
         """Scale the velocities."""
         if at.kinetic == 0.0:
             return at, bath
-        keep, share = np.exp(-2.0 * self.friction * abs(time_step)), 0.5 * self.thermal_energy
+        c, share = np.exp(-2.0 * self.friction * abs(time_step)), 0.5 * self.thermal_energy
         rng = random()
         one, squares = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (self.freedoms - 1))
         kinetic = (
-            keep * at.kinetic
-            + (1.0 - keep) * share * (one * one + squares)
-            + 2.0 * one * np.sqrt(keep * (1.0 - keep) * share * at.kinetic)
+            c * at.kinetic
+            + (1.0 - c) * share * (one * one + squares)
+            + 2.0 * one * np.sqrt(c * (1.0 - c) * share * at.kinetic)
         )
         after = system.with_velocities(at, np.sqrt(kinetic / at.kinetic) * at.qd)
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _COORDINATE = instance(Restraint, 'pc.Restraint("dihedral", ("phi A:3",), 0, 0, 100)')
-_APART = 1e-6
+_CENTRE_TOLERANCE = 1e-6
 """Degrees or angstrom. Nearer centres count as equal."""
 
 
@@ -155,7 +155,7 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     if np.isinf(circle) and at[0] < 0.0:
         raise refused("centres", f"{at[0]:g}", "give distances of 0 or more")
     gaps = np.diff(at, append=at[0] + circle)
-    if np.min(gaps) < _APART:
+    if np.min(gaps) < _CENTRE_TOLERANCE:
         near = int(np.argmin(gaps))
         pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"
         full_circle = " or more than a full circle apart" if np.isfinite(circle) else ""

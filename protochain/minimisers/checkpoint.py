@@ -23,7 +23,7 @@ _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
 def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any]) -> None:
     """Write a waypoint, with the settings of its run."""
     arrays: dict[str, np.ndarray] = {}
-    write_checkpoint(path, arrays, _plain(waypoint, arrays, {}), settings)
+    write_checkpoint(path, arrays, _to_plain(waypoint, arrays, {}), settings)
 
 
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], x: Floats) -> Waypoint:
@@ -43,7 +43,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], 
     return waypoint
 
 
-def _plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> Any:
+def _to_plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> Any:
     """Convert to values for JSON. Arrays are stored separately by name, each once."""
     if isinstance(value, np.ndarray):
         name = names.get(id(value), f"a{len(arrays)}")
@@ -51,22 +51,22 @@ def _plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) -> 
         arrays[name] = value
         return {"array": name}
     if isinstance(value, tuple):
-        return [_plain(part, arrays, names) for part in value]
+        return [_to_plain(part, arrays, names) for part in value]
     if isinstance(value, Preconditioner):
-        return {"made_at": _plain(value.made_at, arrays, names), "age": value.age}
+        return {"made_at": _to_plain(value.made_at, arrays, names), "age": value.age}
     if isinstance(value, Evaluation):
         # The rest of the pose follows from q.
         numbers = (value.pose.q, value.energy, value.torque, value.residual, value.restraint)
-        return {"evaluation": _plain(numbers, arrays, names)}
+        return {"evaluation": _to_plain(numbers, arrays, names)}
     if is_dataclass(value):
         kind = type(value).__name__
-        parts = {field.name: _plain(getattr(value, field.name), arrays, names) for field in fields(value)}
+        parts = {field.name: _to_plain(getattr(value, field.name), arrays, names) for field in fields(value)}
         return {"kind": kind, "fields": parts}
     return value.item() if isinstance(value, np.generic) else value
 
 
 class _Reader:
-    """Inverse of :func:`_plain`. It accepts only classes and shapes that a stage allows.
+    """Inverse of :func:`_to_plain`. It accepts only classes and shapes that a stage allows.
 
     Metrics are recomputed at their original points.
     """
@@ -122,20 +122,20 @@ def _fit(value: Any, hint: Any, name: str, shape: tuple[int, ...]) -> None:
     """Raise an error if a value has another type, or an array in it another shape or infinite numbers."""
     if isinstance(value, np.ndarray):
         fitting(value, name, shape)
-    if not _is(value, hint):
+    if not _matches(value, hint):
         raise ValueError(f"{name} is of another type: {type(value).__name__}")
     if isinstance(value, tuple):
         for part in value:
             _fit(part, Any, name, shape)
 
 
-def _is(value: Any, hint: Any) -> bool:
+def _matches(value: Any, hint: Any) -> bool:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return any(_is(value, alternative) for alternative in arguments)
+        return any(_matches(value, alternative) for alternative in arguments)
     if origin is tuple:
         hints = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
-        return isinstance(value, tuple) and len(value) == len(hints) and all(map(_is, value, hints))
+        return isinstance(value, tuple) and len(value) == len(hints) and all(map(_matches, value, hints))
     if origin is np.ndarray:
         return isinstance(value, np.ndarray)
     if hint is float:

@@ -110,10 +110,10 @@ def all_atom_clash_stages(
     threaded = bool(threaded_rings(structure))
     if overlap or threaded:
         bonded = bonded_part(energy)
-        gentle: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
-        soft = _soft_stage(torsions, Sum(gentle), 1.0)
+        soft_terms: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
+        soft = _soft_stage(torsions, Sum(soft_terms), 1.0)
         if bonded is not None:
-            soft = _soft_stage(space, Sum([bonded, *gentle]), _OVERLAP_FORCE)
+            soft = _soft_stage(space, Sum([bonded, *soft_terms]), _OVERLAP_FORCE)
         plan += [*unthread_stages(soft, _where_atoms_overlap), soft] if threaded else [soft]
     stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_HEAVY_FORCE, tolerance), restraint)
     settled = replace(stage, tolerance=max(_SIDE_CHAIN_FORCE, tolerance))
@@ -126,8 +126,8 @@ def unthreading_stages(space: Cartesian, energy: Energy) -> list[Stage]:
     bonded = bonded_part(energy)
     if bonded is None:
         return []
-    gentle = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
-    soft = _soft_stage(space, gentle, _OVERLAP_FORCE)
+    soft_energy = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
+    soft = _soft_stage(space, soft_energy, _OVERLAP_FORCE)
     return [*unthread_stages(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
 
 
@@ -152,11 +152,11 @@ def _leashes(structure: Structure) -> list[Force]:
     return [Tethers(x, soft_tethers(structure)), Bound(x, LARGEST_MOVE), chirality]
 
 
-def _soft_stage(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
+def _soft_stage(space: Torsions | Cartesian, soft_energy: Force, tolerance: float) -> Stage:
     structure = _structure(space)
     method = Descent(LBFGS(TetheredModel(soft_tethers(structure), True)), StrongWolfe())
     return Stage(
-        space, method, gentle, tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
+        space, method, soft_energy, tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
     )
 
 

@@ -52,5 +52,5 @@ class DeviceDescent:
             return None
         problem.tally = replace(problem.tally, n_evaluations=problem.n_evaluations + n)
         at = problem.evaluate(x.ravel())
-        gained = state.at.energy - at.energy
-        return DeviceState(at) if gained > _RESOLVED * abs(state.at.energy) else None
+        gain = state.at.energy - at.energy
+        return DeviceState(at) if gain > _RESOLVED * abs(state.at.energy) else None

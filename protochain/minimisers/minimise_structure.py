@@ -149,7 +149,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
         return self.recipe.tolerance(self.tolerance)
 
     @property
-    def examines(self) -> bool:
+    def computes_curvature(self) -> bool:
         """Whether the curvature at the end is computed."""
         usual = self.recipe.keeps_geometry or self.converged_at <= ALL_ATOMS_UP_TO
         return not self.recipe.by_openmm and (usual if self.curvature is None else self.curvature)
@@ -171,7 +171,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
             "root": chain.root,
             "move": chain.move,
             "seed": self.seed,
-            "curvature": self.examines,
+            "curvature": self.computes_curvature,
             "engine": energy.engine,
             "device": energy.device,
             "double_precision": energy.is_exact,
@@ -218,7 +218,7 @@ def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0
     plan = run.recipe.plan(chain, start.cached_energy, reduced, run.converged_at, hold, run.seed, torque)
-    if run.examines:
+    if run.computes_curvature:
         plan = with_curvature(plan, _floats(start, run, record.frame))
     x = chain.structure.positions
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None

@@ -252,9 +252,9 @@ def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Rec
 
 def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
     """Dynamics, then minimisation from its last point."""
-    moved = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
+    run = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
     typical = annealing.n_steps + _TYPICAL["lbfgs"]
-    return Recipe(name, (moved, _TORSIONS), True, draws_random, typical=typical)
+    return Recipe(name, (run, _TORSIONS), True, draws_random, typical=typical)
 
 
 ANGLE = 0.0005

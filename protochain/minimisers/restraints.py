@@ -46,9 +46,9 @@ class Tethers:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
-        away = x - self.home
-        pull = -self.weight[:, None] * away
-        return float(-0.5 * np.sum(pull * away)), pull
+        displacement = x - self.home
+        pull = -self.weight[:, None] * displacement
+        return float(-0.5 * np.sum(pull * displacement)), pull
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,10 @@ class Bound:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
-        away = x - self.home
-        distance = np.linalg.norm(away, axis=1)
+        displacement = x - self.home
+        distance = np.linalg.norm(displacement, axis=1)
         beyond = np.maximum(0.0, distance - self.limit)
-        pull = (-SOFT_STIFFNESS * beyond / np.maximum(distance, 1e-9))[:, None] * away
+        pull = (-SOFT_STIFFNESS * beyond / np.maximum(distance, 1e-9))[:, None] * displacement
         return float(0.5 * SOFT_STIFFNESS * np.sum(beyond**2)), pull
 
 
@@ -78,9 +78,9 @@ class Leash:
         """RMSD in nm, and its gradient (n, 3) on the C-alpha atoms."""
         # At the best superposition the RMSD is stationary, so that its change adds nothing to the gradient.
         alpha = self.structure.alpha_carbons
-        away = x[alpha] - superpose(self.structure.positions[alpha], x[alpha])
-        size = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-        return size, away / max(size * len(alpha), 1e-12)
+        displacement = x[alpha] - superpose(self.structure.positions[alpha], x[alpha])
+        size = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
+        return size, displacement / max(size * len(alpha), 1e-12)
 
     def allows(self, x: Floats) -> bool:
         """Whether positions are within the limit."""

@@ -82,9 +82,9 @@ def overlap_stage(space: Torsions) -> Stage:
     """Stage that separates overlapping atoms by soft repulsion in torsions, without the force field."""
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
-    gentle = Sum([SoftRepulsion(structure), tethers])
+    soft_energy = Sum([SoftRepulsion(structure), tethers])
     descent = Descent(LBFGS(), StrongWolfe())
-    return Stage(space, descent, gentle, 1.0, recorded=False, name="resolving clashes")
+    return Stage(space, descent, soft_energy, 1.0, recorded=False, name="resolving clashes")
 
 
 def with_reference(stage: Stage) -> list[Stage]:

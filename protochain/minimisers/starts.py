@@ -27,7 +27,7 @@ from protochain.structure import Structure
 if TYPE_CHECKING:
     import pandas as pd
 
-_PARTING = 500
+_BUDGET = 500
 """Largest number of evaluations of soft repulsion before a start."""
 
 
@@ -237,7 +237,7 @@ def separate_overlaps(chain: Chain) -> Chain:
         The same bodies, moved.
     """
     x = chain.structure.positions
-    return _move_chain(chain, walk([overlap_stage(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
+    return _move_chain(chain, walk([overlap_stage(Torsions(chain))], x, _BUDGET, None, lambda *_: None).q)
 
 
 def _move_chain(chain: Chain, q: np.ndarray) -> Chain:

@@ -21,13 +21,13 @@ ATTEMPTS = 5
 
 _STIFFNESS = 2e4
 """kJ/mol/nm^2."""
-_OUT = 0.35
+_OUTSIDE = 0.35
 """nm from a ring's centre to the middle of an unthreaded bond: a ring's radius and a contact."""
-_ROOM = 0.3
+_PATH_RADIUS = 0.3
 """nm. Nearer atoms block the path of the bond."""
-_CROWDED = 0.05
+_ATOM_COST = 0.05
 """nm, cost of each atom in the path."""
-_JOINED = 0.3
+_BOND_COST = 0.3
 """nm, cost of each end of a side that is bonded to other heavy atoms: the bond would get stuck there."""
 
 
@@ -42,21 +42,21 @@ class Push:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
         distance = float((x[self.bond].mean(axis=0) - x[self.ring].mean(axis=0)) @ self.way)
-        remaining = max(0.0, _OUT - distance)
+        remaining = max(0.0, _OUTSIDE - distance)
         forces = np.zeros_like(x)
         forces[self.bond] += _STIFFNESS * remaining / len(self.bond) * self.way
         forces[self.ring] -= _STIFFNESS * remaining / len(self.ring) * self.way
         return 0.5 * _STIFFNESS * remaining**2, forces
 
 
-def unthread_stages(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
+def unthread_stages(soft: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
     """Stages that unthread rings. All but the first run only if a threaded ring remains."""
     stages = []
     for attempt in range(ATTEMPTS):
         out = replace(
-            gentle, ready=_is_threaded, fit=partial(_push_bonds, attempt), name="freeing threaded rings"
+            soft, ready=_is_threaded, fit=partial(_push_bonds, attempt), name="freeing threaded rings"
         )
-        stages += [out, closing(gentle)]
+        stages += [out, closing(soft)]
     return stages
 
 
@@ -91,18 +91,18 @@ def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: in
     normal = np.linalg.svd(corners)[2][2]
     sides = 0.5 * (corners + np.roll(corners, -1, axis=0))
     sides -= np.outer(sides @ normal, normal)
-    ways = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    outward = sides / np.linalg.norm(sides, axis=1, keepdims=True)
     through = x[bond] - x[ring].mean(axis=0)
     height = through @ normal
     share = height[0] / (height[0] - height[1]) if height[0] != height[1] else 0.5
     at = through[0] + np.clip(share, 0.0, 1.0) * (through[1] - through[0])
-    far = np.linalg.norm(sides, axis=1) - ways @ at
+    distance = np.linalg.norm(sides, axis=1) - outward @ at
     excluded = np.isin(structure.atom_residue, structure.atom_residue[[*ring, *bond]])
     surroundings = x[~excluded] - x[ring].mean(axis=0)
-    crowd = [np.sum(np.linalg.norm(surroundings - _OUT * way, axis=1) < _ROOM) for way in ways]
+    n_blocking = [np.sum(np.linalg.norm(surroundings - _OUTSIDE * d, axis=1) < _PATH_RADIUS) for d in outward]
     heavy = structure.bonds[(structure.atom_element[structure.bonds] != "H").all(axis=1)]
     leaving = heavy[np.isin(heavy, ring).sum(axis=1) == 1]
-    joined = np.isin(ring, leaving).astype(float)
-    cost = far + _CROWDED * np.array(crowd) + _JOINED * (joined + np.roll(joined, -1))
+    has_bond = np.isin(ring, leaving).astype(float)
+    cost = distance + _ATOM_COST * np.array(n_blocking) + _BOND_COST * (has_bond + np.roll(has_bond, -1))
     side = np.argsort(cost, kind="stable")[attempt % len(cost)]
-    return Push(ring, bond, ways[side])
+    return Push(ring, bond, outward[side])

@@ -75,9 +75,9 @@ class Judgement:
     sizes: Mapping[str, float] = field(default_factory=dict)
 
 
-def judge(chain: Chain, at: Pose, judged: tuple[float, Floats], restraint: Force | None = None) -> Judgement:
+def judge(chain: Chain, at: Pose, values: tuple[float, Floats], restraint: Force | None = None) -> Judgement:
     """Judge a pose of a chain by energy and forces. A restraint counts in the residuals only."""
-    value, forces = judged
+    value, forces = values
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
     torque, force = torsions.torque(at, total), atoms.torque(at, total)
@@ -104,8 +104,8 @@ def verdict(
     """Status and message, from the reason for the end of a run and the residual by the judge."""
     # x (na, 3) nm.
     left = describe_rejections(structure, x) if left is None else left
-    if moved := _changed_metal_bonds(structure, x):
-        measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {listed(moved, 3)}"
+    if bonds := _changed_metal_bonds(structure, x):
+        measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {listed(bonds, 3)}"
     status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*left, measured])}"
@@ -170,15 +170,15 @@ def _force_status(
         remedy = "lbfgs keeps stereocentres: it turns bonds only"
     if isomerised is None:
         isomerised = isomerised_bonds(structure, x, structure.positions)
-    lost: dict[Status, str] = {}
+    changes: dict[Status, str] = {}
     if inverted:
-        lost[Status.INVERTED] = f"{listed(inverted)} inverted; {remedy}"
+        changes[Status.INVERTED] = f"{listed(inverted)} inverted; {remedy}"
     if isomerised:
         bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised, 3)}"
-        lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
-    if lost:
-        status = next(iter(lost))
-        measured = "; ".join([*lost.values(), measured])
+        changes[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
+    if changes:
+        status = next(iter(changes))
+        measured = "; ".join([*changes.values(), measured])
         if stop is not Stop.INTERRUPTED:
             return status, f"{status}: {measured}"
         met = False
