@@ -230,6 +230,7 @@ def _prepare(
     pull = moving_spring(settings.pull, chain, start) if settings.pull is not None else None
     if pull is not None:
         pull = replace(pull, start=float(_constant(constants, "pull_start", np.array([pull.start]))[0]))
+    # Potential: force field and biases.
     biases: dict[str, Potential] = {}
     if settings.fixman:
         biases["fixman_kj_mol"] = fixman(settings.thermal_energy, closure)
@@ -308,6 +309,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     inverted = changed_stereocentres(structure, end, structure.positions)
     if inverted and ending is not Ending.UNSTABLE:
         ending, reason = Ending.UNSTABLE, f"{listed(inverted)} inverted"
+    # Final checkpoint, result and summary.
     if folder:
         folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)

@@ -80,6 +80,7 @@ class Annealing:
         p = multibody.multiply_mass(tree, factors.frames, state.velocity)
         phase = Phase(state.at.q, state.velocity, p, state.at.energy, torque, factors)
         time_step = self._time_step(space, phase)
+        # Halve the time step until the leapfrog succeeds.
         for _ in range(_HALVINGS):
             try:
                 phase = Leapfrog().step(system, phase, time_step)
@@ -88,6 +89,7 @@ class Annealing:
                 time_step *= 0.5
         else:
             return None
+        # Langevin thermostat at the temperature of this step.
         n_steps = state.n_steps + 1
         thermal_energy = MOLAR_GAS * self.temperature * (1.0 - n_steps / self.n_steps)
         thermostat = Langevin(thermal_energy, self.friction)

@@ -145,6 +145,7 @@ def _eliminate(
     n = len(diagonal)
     sums = np.zeros((n, 9))
     for j in range(n):
+        # Column j of the matrix, minus the products of earlier columns.
         pivot = diagonal[j].copy()
         for m in range(start[j], start[j + 1]):
             for p in range(9):
@@ -177,6 +178,7 @@ def _eliminate(
             diagonal[j, p] = 0.0
         diagonal[j, 0], diagonal[j, 3], diagonal[j, 4] = s, st, t
         diagonal[j, 6], diagonal[j, 7], diagonal[j, 8] = so, to, o
+        # Blocks below the diagonal, times the transposed inverse.
         for m in range(start[j], start[j + 1]):
             i = rows[m]
             for r in range(0, 9, 3):

@@ -275,9 +275,10 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
+    # Status and message.
     restraint_values = measure_restraints(structure, run.start_hold.listed, at.x)
     problems = [*describe_rejections(structure, at.x), *describe_violations(restraint_values)]
-    status, ended = verdict(stop, met, residuals, structure, at.x, outcome.n_evaluations, left=problems)
+    status, ended = verdict(stop, met, residuals, structure, at.x, outcome.n_evaluations, problems=problems)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)

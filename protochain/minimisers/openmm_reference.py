@@ -49,6 +49,7 @@ def minimise_by_openmm(
     if np.isnan(value):
         stop = Stop.NON_FINITE
         return outcome(x)
+    # Dynamics, after a short minimisation.
     if recipe.draws_random:
         settle = partial(local_energy_minimizer, tolerance=_SETTLED)
         for part in (settle, partial(langevin_dynamics, seed=seed)):
@@ -62,6 +63,7 @@ def minimise_by_openmm(
             relaxed = x if part is settle else relaxed
             if stop is Stop.INTERRUPTED:
                 return outcome(relaxed)
+    # Minimisation, in double precision if single precision does not converge.
     for platform in ("CPU", "Reference"):
         if n_evaluations >= max_evaluations:
             stop = Stop.BUDGET

@@ -199,18 +199,20 @@ class Recipe:
         torsions, atoms = spaces(chain, terms)
         restraints = hold.restraints(chain.structure)
         overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
-        parts = overlap
+        is_strained = overlap
         if self.parts_overlaps and self.in_torsions:
             # Turned bonds have long levers.
-            parts |= not max_torque <= STRAINED_TORQUE
+            is_strained |= not max_torque <= STRAINED_TORQUE
         elif self.runs and not self.in_torsions:
             # Even free atoms do not leave a ring by themselves.
-            parts |= bool(threaded_rings(chain.structure))
+            is_strained |= bool(threaded_rings(chain.structure))
+        # Stages that resolve clashes.
         plan: list[Stage] = []
-        if parts and self.keeps_geometry:
+        if is_strained and self.keeps_geometry:
             plan += torsion_clash_stages(torsions, reduced, tolerance, restraints[0], overlap)
-        elif parts:
+        elif is_strained:
             plan += all_atom_clash_stages(torsions, atoms, energy, tolerance, restraints[0], overlap)
+        # Stages of each run, of the last one for each restraint.
         for run in self.runs:
             space, run_energy = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.by_springs if terms is None and run.by_springs else run.method
@@ -218,7 +220,7 @@ class Recipe:
                 method = replace(method, seed=seed)
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
                 stages = replace(run, method=method).stages(space, run_energy, tolerance, restraint)
-                if parts and run.in_torsions:
+                if is_strained and run.in_torsions:
                     all_terms = None if self.keeps_geometry else energy
                     stages = [run_if_unstrained(stage, all_terms) for stage in stages]
                 if not run.in_torsions and not chain.moving.all():

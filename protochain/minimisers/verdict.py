@@ -99,17 +99,17 @@ def verdict(
     n_evaluations: int,
     inverted: Sequence[str] | None = None,
     isomerised: Sequence[str] | None = None,
-    left: Sequence[str] | None = None,
+    problems: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
     """Status and message, from the reason for the end of a run and the residual by the judge."""
     # x (na, 3) nm.
-    left = describe_rejections(structure, x) if left is None else left
+    problems = describe_rejections(structure, x) if problems is None else problems
     if bonds := _changed_metal_bonds(structure, x):
         measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {listed(bonds, 3)}"
     status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
-    if left and status is Status.CONVERGED:
-        return Status.VIOLATIONS, f"violations: {'; '.join([*left, measured])}"
-    return status, message if status is Status.CLASH else "; ".join([message, *left])
+    if problems and status is Status.CONVERGED:
+        return Status.VIOLATIONS, f"violations: {'; '.join([*problems, measured])}"
+    return status, message if status is Status.CLASH else "; ".join([message, *problems])
 
 
 _METAL_CHANGE = 0.05
@@ -164,6 +164,7 @@ def _force_status(
     isomerised: Sequence[str] | None,
 ) -> tuple[Status, str]:
     """Status and message from forces, overlaps, and changes of isomers."""
+    # Changed isomers.
     remedy = "build these residues anew first"
     if inverted is None:
         inverted = changed_stereocentres(structure, x, structure.positions)

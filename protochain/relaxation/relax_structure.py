@@ -238,7 +238,7 @@ def _verdict(
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_newly_inverted(problems), isomerised=_bonds_before(problems, _newly_reversed(problems)),
-        left=[*describe_problems(problems), *describe_violations(restraint_values)],
+        problems=[*describe_problems(problems), *describe_violations(restraint_values)],
     )  # fmt: skip
 
 
