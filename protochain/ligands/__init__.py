@@ -85,7 +85,7 @@ def ligand(
     forcefield: str | Path | None = None,
     ph: float | None = None,
 ) -> Ligand:
-    """Give a small molecule its chemistry and parameters.
+    """Assign chemistry and parameters to a small molecule.
 
     It needs ``pip install "protochain[ligands]"``.
 
@@ -141,7 +141,7 @@ def assign_parameters(
     forcefield: str | Path | None = None,
     charged: tuple[Charged, ...] = (),
 ) -> Ligand:
-    """Give a molecule its parameters, with the arguments of :func:`ligand`."""
+    """Assign parameters to a molecule, with the arguments of :func:`ligand`."""
     by_rule = charges in CHARGE_RULES
     outside = nagl.outside(molecule) if charges == "nagl" else ()
     model = (

@@ -22,7 +22,7 @@ _COLUMNS = {
     ),
     "chem_comp_bond": ("comp_id", "atom_id_1", "atom_id_2", "value_order", "pdbx_aromatic_flag"),
 }  # fmt: skip
-"""Those that biotite makes a component of."""
+"""Columns from which biotite builds a component."""
 
 
 def leaving(name: str) -> frozenset[str]:
@@ -71,9 +71,11 @@ def _decode(name: str) -> Any:
         return None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # For ideal coordinates those of the model are used.
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # Coordinates of the model replace missing ideal ones.
             atoms = pdbx.get_component(pdbx.BinaryCIFBlock(tables), res_name=name)
-    except ValueError:  # Of 62 entries both lack.
+    except ValueError:  # 62 entries have neither.
         return None
     names, flags = (tables["chem_comp_atom"][key].as_array() for key in ("atom_id", "pdbx_leaving_atom_flag"))
     leave = dict(zip(names, flags, strict=True))

@@ -36,9 +36,9 @@ _FLAT = 0.1
 class Placed(Value):
     """A molecule at its place in a model."""
 
-    # With the chemistry of its source, and names and positions of the model; new places of hydrogens.
+    # With the chemistry of its source, names and positions of the model, and new positions of hydrogens.
     molecule: Molecule
-    atoms: Integers  # (na,) int: The model's atom of each; -1 of hydrogens.
+    atoms: Integers  # (na,) int: The model's atom of each atom, -1 of hydrogens.
     # Stereocentres, and double bonds as ``C1=C2``, that the model has the other way round, or flat.
     inverted: tuple[str, ...]
 

@@ -27,7 +27,7 @@ def quietly(call: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
 class Molecule(Value):
     """A molecule with all its hydrogens."""
 
-    names: tuple[str, ...]  # Unique; made of element and number where the source has none.
+    names: tuple[str, ...]  # Unique. Element and number if the source has none.
     elements: Integers  # (na,) int: Atomic numbers.
     formal_charges: Integers  # (na,) int.
     bonds: Integers  # (m, 2) int.
@@ -37,7 +37,7 @@ class Molecule(Value):
     handedness: Integers
     # (k, 5) int: Four atoms about a double bond with stereo, and 1 if the outer two are cis, else 0.
     double_bonds: Integers
-    # The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
+    # Labels of these: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
     stereo: tuple[tuple[str, str], ...]
     positions: Floats | None  # (na, 3): None if the source has no coordinates in space.
     source: str

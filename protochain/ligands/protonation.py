@@ -39,7 +39,7 @@ class Charged(Value):
 class Rule(Value):
     """A site whose pKa dimorphite-dl lacks, or has from too wide a class."""
 
-    # -1: the site is matched with its proton, and loses it if the pH is above; 1: without, and takes one.
+    # -1: the pattern has the proton, which is lost above the pKa. 1: one without, which is gained below it.
     gain: int
     # Its first atom is the site. Rules are applied in their order, each until it matches no more, so that a
     # pattern may say how neighbours are charged.

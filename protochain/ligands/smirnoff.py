@@ -100,20 +100,20 @@ def read(path: Path) -> ForceField:
 def assign_parameters(
     molecule: Molecule, force_field: ForceField, charges: Callable[[Molecule], Floats], own_charges: bool
 ) -> Parameters:
-    """Give a molecule the parameters of a force field."""
+    """Assign the parameters of a force field to a molecule."""
     typing = _Typing(molecule, force_field)
     if force_field.path in (SAGE_2_2, SAGE_2_3):
         typing.refuse_crowded()
     typing.refuse_unhandled({"LibraryCharges"} if own_charges else set())
-    types = typing.of("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
-    bonds = typing.of("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
+    types = typing.assign("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
+    bonds = typing.assign("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
     # Both sulphurs of a dithiophosphate end at P alike, only one is drawn with a double bond.
     for sulphur, phosphorus, second in typing.matches(_DITHIOPHOSPHATE, 3):
         bonds[_one_way((sulphur, phosphorus))] = bonds[_one_way((second, phosphorus))]
-    angles = typing.of("Angles", _one_way, typing.angles())
-    torsions = typing.of("ProperTorsions", _one_way, typing.torsions())
+    angles = typing.assign("Angles", _one_way, typing.angles())
+    torsions = typing.assign("ProperTorsions", _one_way, typing.torsions())
     rows = [(*atoms, *row) for atoms, rule in torsions.items() for row in rule.values]
-    for (i, centre, j, k), rule in typing.of("ImproperTorsions", _sort_outer, ()).items():
+    for (i, centre, j, k), rule in typing.assign("ImproperTorsions", _sort_outer, ()).items():
         # The trefoil: three impropers about the centre, all in one sense of rotation.
         for outer in ((i, j, k), (j, k, i), (k, i, j)):
             rows.extend((centre, *outer, *row) for row in rule.values)
@@ -132,7 +132,7 @@ Atoms = tuple[int, ...]
 
 
 class _Typing:
-    """Patterns of a force field looked for in one molecule."""
+    """Matches of the patterns of a force field in one molecule."""
 
     def __init__(self, molecule: Molecule, force_field: ForceField) -> None:
         self.molecule, self.force_field = molecule, force_field
@@ -140,8 +140,10 @@ class _Typing:
         self.mol = in_mdl_aromaticity(molecule)
         self.near = neighbours(molecule.bonds, molecule.n_atoms)
 
-    def of(self, section: str, key: Callable[[Atoms], Atoms], required: Iterable[Atoms]) -> dict[Atoms, Rule]:
-        """The last rule that fits, by atoms. All wanted atoms have one."""
+    def assign(
+        self, section: str, key: Callable[[Atoms], Atoms], required: Iterable[Atoms]
+    ) -> dict[Atoms, Rule]:
+        """The last rule that fits, by atoms. Raise ForceFieldError if required atoms have none."""
         rules = self.force_field.rules.get(section, ())
         assigned = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
         for atoms in required:

@@ -37,7 +37,7 @@ class Deviations(NamedTuple):
 
 
 def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviations:
-    """Measure each C-beta's distance from its ideal place, at x (na, 3) or its own. D are mirrored."""
+    """Measure the distance of each C-beta from its ideal place, at x (na, 3) or its own. D are mirrored."""
     # Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev: the mean of two places,
     # built with ideal bond, angle and dihedral from either side of the backbone.
     amino = layout(structure)

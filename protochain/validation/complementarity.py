@@ -1,7 +1,7 @@
 """Shape complementarity of two sides of an interface: Sc of Lawrence and Colman.
 
 J. Mol. Biol. 234:946 (1993). Each dot of one surface that the other side buries, with the nearest dot on the
-other, has S = -n.n' exp(-w d^2). Sc is the mean of the medians of either side, weighted by the areas of
+other, has S = -n.n' exp(-w d^2). Sc is the mean of the medians of both sides, weighted by the areas of
 the dots. Dots within a band at the periphery of the contact do not count.
 """
 

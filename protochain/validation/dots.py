@@ -23,7 +23,7 @@ class Dots(Value):
 
     x: Floats  # (n, 3) angstrom.
     normal: Floats  # (n, 3): Unit vectors out of the molecule.
-    area: Floats  # (n,) angstrom^2: What each dot stands for.
+    area: Floats  # (n,) angstrom^2: Area of each dot.
     probe: Floats  # (n, 3) angstrom: Centre of the probe that touches the dot.
 
     def __len__(self) -> int:

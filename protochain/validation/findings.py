@@ -42,7 +42,7 @@ _T = TypeVar("_T")
 
 
 def _measure_once(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
-    """Attribute of :class:`Findings`, measured when it is first asked for."""
+    """Attribute of :class:`Findings`, measured at first use."""
     return cached_property(lambda findings: measure(findings.structure, findings.x))
 
 
@@ -74,7 +74,7 @@ class Findings(Value):
         return ligand_findings(self.structure, self.x, self.clashes)
 
     def measures(self) -> dict[str, Any]:
-        """Values of all ``MEASURES``, None for those without anything to measure."""
+        """Values of all ``MEASURES``, None if there is nothing to measure."""
         values = {key: measure.value(self) for key, measure in MEASURES.items()}
         return {key: value if np.isfinite(value) else None for key, value in values.items()}
 
@@ -256,10 +256,10 @@ MEASURES = {
 
 
 class Remaining(NamedTuple):
-    """Something in a result that a biologist may reject."""
+    """Fault of a result that a biologist may reject."""
 
     what: str  # What it is, in words.
-    places: Callable[[Findings], list[str]]  # Where a :class:`Findings` has it.
+    places: Callable[[Findings], list[str]]  # Places in a :class:`Findings`.
 
 
 def _residues(findings: Findings, residues: Any) -> list[str]:
@@ -291,9 +291,9 @@ REMAINS = {
     "cbeta_outlier_residues": Remaining("C-beta outliers", lambda f: _residues(f, f.cbeta.outliers)),
     "fixed_residues": Remaining("held fixed", lambda f: _residues(f, fixed_residues(f.structure))),
 }
-"""What results name by place, by key of their records."""
+"""Faults that results list by place, by key of their records."""
 _JUDGED = "inverted_stereocentres", "inverted_double_bonds"
-"""Those that messages name as well, but for a clash's."""
+"""Faults that messages name as well, except the message of a clash."""
 
 
 @part("measuring")

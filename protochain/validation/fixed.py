@@ -29,11 +29,11 @@ class FixedFaults(NamedTuple):
     # (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in pieces,
     # the nearest ones.
     bonds: Integers
-    # (m, 2) int: Heavy atoms of theirs, and of theirs and the protein's, that overlap by 1.5 angstrom.
+    # (m, 2) int: Their heavy atoms that overlap with each other or with the protein by 1.5 angstrom.
     clashes: Integers
 
     def lines(self, structure: Structure, x: Floats) -> list[str]:
-        """Describe each in a line."""
+        """Describe each fault in a line."""
         pairs = np.vstack([self.bonds, self.clashes])
         distance = ANGSTROM_PER_NM * np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
         ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
@@ -52,18 +52,18 @@ class FixedFaults(NamedTuple):
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
-    """Count the residues that stand still outside the protein, by name, the most frequent first."""
+    """Count the fixed residues outside the protein, by name, the most frequent first."""
     return dict(Counter(structure.residue_name[_obstacle_residues(structure)].tolist()).most_common())
 
 
 def fixed_residues(structure: Structure) -> Integers:
-    """(n,) int: residues that stand still outside the protein, but waters."""
+    """(n,) int: fixed residues outside the protein, without waters."""
     residues = _obstacle_residues(structure)
     return np.asarray(residues[structure.residue_name[residues] != "HOH"])
 
 
 def count_fixed(structure: Structure) -> tuple[int, int]:
-    """Count the amino acids of chains that stand still, and all of them."""
+    """Count the amino acids of fixed chains, and all amino acids."""
     backbone = np.isin(structure.atom_name, ["N", "CA", "C"]) & np.isin(structure.atom_element, ["N", "C"])
     complete = np.bincount(structure.atom_residue[backbone], minlength=structure.n_residues) == 3
     still = _obstacle_residues(structure)

@@ -40,7 +40,7 @@ Sides = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
 class Score(NamedTuple):
-    """A column of an interface: in words, whether more of it is better (1) or less (-1), and if it counts."""
+    """Column of an interface: description, if more is better (1) or less (-1), and if it is a count."""
 
     what: str
     better: int = 0
@@ -266,7 +266,7 @@ def score_interface(
 
 
 def as_native(energy: Energy) -> NativeEnergy:
-    """The energy by the native engine, which alone returns terms."""
+    """Return the energy by the native engine, which alone has terms. Raise ProtochainError for others."""
     by_kernels = native_of(energy)
     if by_kernels is None:
         raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")

@@ -37,7 +37,7 @@ def positions(structure: Structure, x: Floats | None) -> Floats:
 
 @per_structure
 def layout(structure: Structure) -> Layout:
-    """Find the amino acids of a structure, their atoms and neighbours, the same for all its positions."""
+    """Find the amino acids of a structure, their atoms and neighbours, independent of positions."""
     n, of = structure.n_residues, structure.atom_residue
     backbone = [
         np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE

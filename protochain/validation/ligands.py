@@ -112,7 +112,7 @@ class LigandFound(Value):
 
 
 def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple[LigandFound, ...]:
-    """Find out about each ligand of a structure at positions, without PoseBusters: x (na, 3) nm."""
+    """Examine each ligand of a structure at positions, without PoseBusters: x (na, 3) nm."""
     protein = np.flatnonzero(~structure.kept & (structure.atom_element != "H"))
     tree = cKDTree(ANGSTROM_PER_NM * x[protein])
     return tuple(
@@ -165,7 +165,7 @@ def _heavy(molecule: Any) -> Any:
 
 
 def describe_motion(motion: Floats) -> str:
-    """Largest values of ``ligand_motion``, to be put after others, empty without ligands."""
+    """Describe the largest values of ``ligand_motion`` after other values, empty without ligands."""
     if not len(motion):
         return ""
     return ", ligand RMSD {:.2f} angstrom, farthest atom {:.2f}".format(*motion.max(axis=0))

@@ -1,4 +1,4 @@
-"""Nucleotides: how their sugars are puckered, and which bases are paired."""
+"""Nucleotides: puckers of sugars, and base pairs."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -37,12 +37,12 @@ _PERPENDICULAR = 2.9
 class Nucleotides(Value):
     """Sugars and base pairs of a structure."""
 
-    residue: Integers  # (n,) int: Nucleotides whose sugar is whole.
+    residue: Integers  # (n,) int: Nucleotides with a complete sugar.
     # (n,) degrees: Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205 (1972).
     phase: Floats
     amplitude: Floats
     delta: Floats  # (n,) degrees.
-    # (n,) bool: Delta is that of no sugar, or of a ribose not that which the phosphate after it asks for.
+    # (n,) bool: Delta is outside the range of sugars, or contradicts the phosphate after a ribose.
     outlier: NDArray[np.bool_]
     # (k, 2) int: Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic
     # Acids Res. 43:e142, 2015), as biotite finds them; None without biotite.

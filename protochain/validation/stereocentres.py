@@ -16,9 +16,9 @@ from protochain.validation.layout import peptides
 
 
 class Expected(NamedTuple):
-    """What stereocentres of a structure should be."""
+    """Expected stereocentres of a structure."""
 
-    # (n, 4) int: Each, and three neighbours in an order in which they should span a positive volume.
+    # (n, 4) int: Stereocentre, and three neighbours in an order that should span a positive volume.
     atoms: Integers
     unnamed: Integers  # (m,) int: Residues that are D-amino acids by their coordinates, under names of L.
 
@@ -31,7 +31,7 @@ def expected_stereocentres(structure: Structure) -> Expected:
     is_d = structure.mirrored[residue]
     phi = peptides(structure, x)[0][residue]
     alpha = np.isin(atoms[:, 0], structure.alpha_carbons)
-    # NaN, at the start of a chain, may be that of D as well.
+    # A missing phi, at the start of a chain, does not exclude D.
     meant = alpha & ~is_d & (size < -WELL_FORMED) & ~(phi < 0.0)
     unnamed = np.unique(np.concatenate([residue[meant], *mirror_images(structure).values()])).astype(np.int64)
     is_positive = np.where(np.isin(residue, unnamed), size >= 0.0, ~is_d)

@@ -175,7 +175,7 @@ def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     atoms = set(names) - {""}
     name = standard_name(residue)[0]
     usable = [entry for entry in _by_residue().get(name, ()) if atoms and atoms <= entry.element.keys()]
-    # Of two with the same atoms, a disulfide's is meant, not that of a thiolate.
+    # Of two templates with the same atoms, use the disulfide's, not the thiolate's.
     best = min(usable, key=lambda entry: (len(entry.element) - len(atoms), "CYM" in entry.name), default=None)
     return best.type if best is not None else {}
 
