@@ -71,9 +71,7 @@ def _decode(name: str) -> Any:
         return None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # Coordinates of the model replace missing ideal ones.
+            warnings.simplefilter("ignore", UserWarning)  # Ideal coordinates or, if missing, the model's.
             atoms = pdbx.get_component(pdbx.BinaryCIFBlock(tables), res_name=name)
     except ValueError:  # 62 entries have neither.
         return None

@@ -105,15 +105,15 @@ def assign_parameters(
     if force_field.path in (SAGE_2_2, SAGE_2_3):
         typing.refuse_crowded()
     typing.refuse_unhandled({"LibraryCharges"} if own_charges else set())
-    types = typing.assign("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
-    bonds = typing.assign("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
+    types = typing.fit("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
+    bonds = typing.fit("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
     # Both sulphurs of a dithiophosphate end at P alike, only one is drawn with a double bond.
     for sulphur, phosphorus, second in typing.matches(_DITHIOPHOSPHATE, 3):
         bonds[_one_way((sulphur, phosphorus))] = bonds[_one_way((second, phosphorus))]
-    angles = typing.assign("Angles", _one_way, typing.angles())
-    torsions = typing.assign("ProperTorsions", _one_way, typing.torsions())
+    angles = typing.fit("Angles", _one_way, typing.angles())
+    torsions = typing.fit("ProperTorsions", _one_way, typing.torsions())
     rows = [(*atoms, *row) for atoms, rule in torsions.items() for row in rule.values]
-    for (i, centre, j, k), rule in typing.assign("ImproperTorsions", _sort_outer, ()).items():
+    for (i, centre, j, k), rule in typing.fit("ImproperTorsions", _sort_outer, ()).items():
         # The trefoil: three impropers about the centre, all in one sense of rotation.
         for outer in ((i, j, k), (j, k, i), (k, i, j)):
             rows.extend((centre, *outer, *row) for row in rule.values)
@@ -140,13 +140,11 @@ class _Typing:
         self.mol = in_mdl_aromaticity(molecule)
         self.near = neighbours(molecule.bonds, molecule.n_atoms)
 
-    def assign(
-        self, section: str, key: Callable[[Atoms], Atoms], required: Iterable[Atoms]
-    ) -> dict[Atoms, Rule]:
-        """The last rule that fits, by atoms. Raise ForceFieldError if required atoms have none."""
+    def fit(self, section: str, key: Callable[[Atoms], Atoms], targets: Iterable[Atoms]) -> dict[Atoms, Rule]:
+        """The last rule that fits, by atoms. Raise ForceFieldError if target atoms have none."""
         rules = self.force_field.rules.get(section, ())
         assigned = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
-        for atoms in required:
+        for atoms in targets:
             if key(atoms) not in assigned:
                 names = "-".join(self.molecule.names[i] for i in atoms)
                 raise ForceFieldError(

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 
-def _measure_once(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
+def _measure(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
     """Attribute of :class:`Findings`, measured at first use."""
     return cached_property(lambda findings: measure(findings.structure, findings.x))
 
@@ -53,20 +53,18 @@ class Findings(Value):
     structure: Structure
     x: Floats  # (na, 3) nm.
 
-    violations = _measure_once(violations)
-    clashes = _measure_once(clashes)
-    ramachandran = _measure_once(ramachandran)
-    side_chains = _measure_once(side_chains)
-    cbeta = _measure_once(cbeta_deviations)
-    peptides = _measure_once(omegas)
-    inverted_stereocentres = _measure_once(
-        lambda structure, x: wrong_centres(structure, x, structure.mirrored)
-    )
-    rings = _measure_once(threaded_rings)
-    fixed = _measure_once(fixed_faults)
-    strain = _measure_once(strain)
-    nucleotides = _measure_once(nucleotides)
-    double_bonds = _measure_once(inverted_double_bonds)
+    violations = _measure(violations)
+    clashes = _measure(clashes)
+    ramachandran = _measure(ramachandran)
+    side_chains = _measure(side_chains)
+    cbeta = _measure(cbeta_deviations)
+    peptides = _measure(omegas)
+    inverted_stereocentres = _measure(lambda structure, x: wrong_centres(structure, x, structure.mirrored))
+    rings = _measure(threaded_rings)
+    fixed = _measure(fixed_faults)
+    strain = _measure(strain)
+    nucleotides = _measure(nucleotides)
+    double_bonds = _measure(inverted_double_bonds)
 
     @cached_property
     def ligands(self) -> tuple[LigandFound, ...]:
