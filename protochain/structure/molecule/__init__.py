@@ -1,1 +1,1 @@
-"""Molecules, residues and their templates; no file is known here."""
+"""Molecules, residues and their templates, independent of file formats."""

@@ -1,4 +1,4 @@
-"""Atoms and bonds by name, as molecules are bonded: groups leave, valences are freed, charges follow."""
+"""Join molecules by bonds: remove leaving groups, free valences and adjust charges."""
 
 from collections.abc import Collection, Sequence
 
@@ -9,11 +9,11 @@ from protochain.structure.molecule.residues import BACKBONE
 
 _H, _C, _N, _O, _S = 1, 6, 7, 8, 16
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
-"""Elements of atoms at the end of a single bond that may leave, hydrogens aside."""
+"""Elements of terminal, singly bonded heavy atoms that may leave."""
 
 
 class Graph:
-    """Atoms and bonds by name, as they are put together."""
+    """Atoms and bonds by name, during assembly."""
 
     def __init__(self) -> None:
         self.atoms: dict[str, list[int]] = {}
@@ -28,29 +28,29 @@ class Graph:
             self.bonds[frozenset((names[i], names[j]))] = order
 
     def near(self, a: str) -> list[str]:
-        """Atoms bonded to one."""
+        """Atoms bonded to an atom."""
         return [end for bond in self.bonds if a in bond for end in bond if end != a]
 
     def heavy(self, a: str) -> list[str]:
-        """Heavy atoms bonded to one."""
+        """Heavy atoms bonded to an atom."""
         return [neighbour for neighbour in self.near(a) if self.atoms[neighbour][0] != _H]
 
     def light(self, a: str) -> list[str]:
-        """Hydrogens bonded to one."""
+        """Hydrogens bonded to an atom."""
         return [neighbour for neighbour in self.near(a) if self.atoms[neighbour][0] == _H]
 
     def order(self, a: str, b: str) -> int:
-        """Order of a bond; 0 if there is none."""
+        """Order of a bond, or 0 without a bond."""
         return self.bonds.get(frozenset((a, b)), 0)
 
     def remove(self, atoms: Sequence[str]) -> None:
-        """Take away atoms with their bonds."""
+        """Remove atoms with their bonds."""
         for atom in atoms:
             del self.atoms[atom]
         self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & {*atoms}}
 
     def backbone(self, prefix: str) -> bool:
-        """Whether N, CA, C and O are bonded as in alanine: CA is tetrahedral, C that of an acid or amide."""
+        """Whether N, CA, C and O are bonded as in alanine, with tetrahedral CA and C of an acid or amide."""
         n, alpha, c, o = (prefix + name for name in (*BACKBONE, "O"))
         if not {n, alpha, c, o} <= self.atoms.keys():
             return False
@@ -71,14 +71,14 @@ class Graph:
         )
 
     def drop_groups(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
-        """Take away groups absent at an atom, or one that its component lets leave; and valences freed."""
+        """Remove absent groups at an atom, or a leaving group. Return them and the freed valences."""
         groups = {x: self.beyond(a, x) for x in self.heavy(a)}
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
         at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
         at = at or marked[:1]
-        if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl has not left, too: it is missing.
+        if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl has not left as well.
             at = [x for x in at if self.atoms[x][0] != _O or self.order(a, x) == 1]
-        for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
+        for x in at:  # The hydroxyl of an acid leaves, whatever the names of its oxygens.
             self.swap_oxygens(x)
         removed = [atom for x in at for atom in groups[x]]
         freed = sum(self.order(a, x) for x in at)
@@ -86,7 +86,7 @@ class Graph:
         return removed, freed
 
     def beyond(self, a: str, x: str) -> dict[str, None]:
-        """Heavy atoms of a group: a neighbour of an atom, and all that only this holds."""
+        """Heavy atoms of a group: neighbour x of atom a, and all atoms behind x."""
         group = {x: None}
         ends = [x]
         while ends:
@@ -95,7 +95,7 @@ class Graph:
         return group
 
     def swap_oxygens(self, a: str) -> None:
-        """Give a doubly bonded oxygen of an acid the hydrogen and the charge of one of its others."""
+        """Exchange a doubly bonded oxygen of an acid with a singly bonded one, hydrogen included."""
         for c in self.heavy(a) if self.atoms[a][0] == _O else ():
             single = (x for x in self.heavy(c) if self.order(x, c) == 1 and self.heavy(x) == [c])
             x = next((x for x in single if self.atoms[x][0] == _O), a)
@@ -105,9 +105,9 @@ class Graph:
                 self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
 
     def acceptors(self, a: str) -> list[str]:
-        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides."""
-        # Distances have to show it in quinones, where more carbons are conjugated, and in but-2-enamides, as
-        # which the archive has bonded but-2-ynamides.
+        """Neighbours whose double bond a nucleophile consumes when it adds to a carbon, as in acrylamides."""
+        # Distances decide for quinones, with more conjugated carbons, and for but-2-enamides, as which the
+        # archive has bonded but-2-ynamides.
 
         def is_multiple(x: str, *elements: int) -> bool:
             return any(self.order(x, y) > 1 and self.atoms[y][0] in elements for y in self.heavy(x) if y != a)
@@ -121,7 +121,7 @@ class Graph:
     def free_valences(
         self, a: str, order: int, freed: int, single: Sequence[str], filed: Collection[str] = ()
     ) -> list[str]:
-        """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first."""
+        """Free valences of an atom for a bond, first from bonds to ``single`` neighbours."""
         z, q = self.atoms[a]
         # Hydrogens that the file has leave last.
         light, heavy = sorted(self.light(a), key=lambda x: x in filed), self.heavy(a)
@@ -131,13 +131,13 @@ class Graph:
             removed = sorted(self.light(a), key=lambda x: x not in filed)[room:]
             self.remove(removed)
             return removed
-        # A bond that another has used up may have left it one free.
+        # A bond consumed by another atom may have freed one valence.
         freed = max(freed, 4 - sum(self.order(a, x) for x in (*light, *heavy)) if z == _C and not q else 0)
         need = order - freed
         if q < 0 < need:
             self.atoms[a][1], need = q + 1, need - 1
         multiple = [x for x in heavy if self.order(a, x) > 1 and z == _C]
-        # An acid keeps its carbonyl: a group of it leaves.
+        # The carbonyl of an acid stays. One of its groups leaves.
         is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
         for x in multiple:
             is_kept = is_acid and self.atoms[x][0] == _O
@@ -155,7 +155,7 @@ class Graph:
         return removed
 
     def molecule(self, source: str) -> Molecule:
-        """As a value, with the hydrogens that lack."""
+        """Return the molecule with its missing hydrogens."""
         names = [*self.atoms]
         place = {name: k for k, name in enumerate(names)}
         assembly = build_mol(

@@ -1,4 +1,4 @@
-"""Handedness of C-alpha, of other chiral atoms of amino acids, of sugars, and of what has a source."""
+"""Chirality of C-alpha, other chiral atoms of amino acids, sugars, and molecules with a source."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from protochain.structure.molecule.residues import NUCLEOTIDES, Atom
 from protochain.structure.molecule.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
-"""nm^3. Volume at a C-alpha below which its configuration may be noise; 2.5e-3 in ideal residues."""
+"""nm^3. Below this volume the configuration of a C-alpha may be noise. Ideal residues have 2.5e-3."""
 _BONDED = 0.22
-"""nm: neighbours further away are not bonded; 0.25 where another atom is between."""
+"""nm. Largest distance of bonded neighbours. Atoms two bonds apart have 0.25."""
 _ALPHA = {"CA": ("N", "C", "CB")}
 _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
@@ -46,8 +46,8 @@ def volume(x: Floats) -> Floats:
 
 
 def chirality(member: Member, centre: str = "CA", least: float = 0.0) -> int:
-    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in D, 0 if atoms lack or it is flatter (nm^3)."""
-    # An atom that is not bonded to it counts as missing, as CB of a peptoid.
+    """Chirality of an atom: 1 for L, -1 for D, 0 if atoms are missing or the volume is small (nm^3)."""
+    # An unbonded atom counts as missing, as CB of a peptoid.
     neighbours = centres(member.name).get(centre, ())
     atoms = [member.atom(name) for name in (centre, *neighbours)]
     x = np.array([atom.pos.tolist() for atom in atoms if atom is not None]) / ANGSTROM_PER_NM
@@ -57,7 +57,7 @@ def chirality(member: Member, centre: str = "CA", least: float = 0.0) -> int:
 
 
 def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
-    """Name the chiral atoms whose configuration is not that of their residue's name."""
+    """List the chiral atoms whose configuration contradicts the name of the residue."""
     return [
         Atom(centre, member.residue)
         for member in members
@@ -81,14 +81,14 @@ def atom_names(structure: Structure, atoms: Integers) -> list[str]:
 
 
 def wrong_centres(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
-    """Find the chiral atoms (n,) at x (na, 3), nm, that are not L, or not D where ``mirrored`` (nr,)."""
+    """Find the chiral atoms (n,) at x (na, 3), nm, that are not L, or not D if ``mirrored`` (nr,)."""
     atoms = chiral_atoms(structure)
     signs = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
     return np.asarray(atoms[signs * volume(x[atoms]) < 0.0, 0])
 
 
 def mirror_images(structure: Structure) -> dict[str, Integers]:
-    """Find chains that are mirror images: most stereocentres of their amino acids are D under names of L."""
+    """Find mirror-image chains: most stereocentres of their amino acids are D under L names."""
     atoms = chiral_atoms(structure)
     owner = structure.atom_residue[atoms[:, 0]]
     amino = np.isin(owner, structure.atom_residue[structure.alpha_carbons])
@@ -100,7 +100,7 @@ def mirror_images(structure: Structure) -> dict[str, Integers]:
 
 
 def with_mirror_images(structure: Structure) -> Structure:
-    """Return the structure with the residues of chains that are mirror images as D-amino acids."""
+    """Return the structure with the residues of mirror-image chains as D-amino acids."""
     mirrored = structure.mirrored.copy()
     mirrored[[r for residues in mirror_images(structure).values() for r in residues.tolist()]] = True
     return replace(structure, mirrored=mirrored)
@@ -108,10 +108,10 @@ def with_mirror_images(structure: Structure) -> Structure:
 
 @per_structure
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: chiral atoms and three neighbours, whose volume is positive, but negative in ``mirrored``.
+    """(n, 4) int: chiral atoms and three neighbours, of positive volume, or negative in ``mirrored``.
 
-    Sources of ligands and fragments come before names; in a residue that is ``mirrored``, an L-amino acid is
-    the mirror image of its source, and any other what its source says.
+    Sources of ligands and fragments have priority over names. In ``mirrored`` residues, an L-amino acid is
+    the mirror image of its source, and other residues follow their source.
     """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     is_sugar = np.isin(structure.residue_name, [*NUCLEOTIDES])
@@ -140,7 +140,7 @@ def chiral_atoms(structure: Structure) -> Integers:
 
 
 def _source_centres(ligand: BoundLigand) -> Iterator[list[int]]:
-    """Stereocentres of a molecule, each with three neighbours, heavy ones first; -1 of a cap's atom."""
+    """Stereocentres of a molecule, each with three neighbours, heavy ones first, and -1 for cap atoms."""
     molecule = ligand.ligand.molecule
     near = neighbours(molecule.bonds, molecule.n_atoms)
     for centre in np.flatnonzero(molecule.handedness).tolist():

@@ -1,4 +1,4 @@
-"""Dihedrals of residues by name: phi, psi, omega, chi1 ...; their atoms, and where they are."""
+"""Dihedrals of residues by name (phi, psi, omega, chi1 ...), their atoms and values."""
 
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NamedDihedral = tuple[str, str, list[int | None]]
-"""Kind of a hinge, name of the dihedral, and its four atoms; None for one that is not there."""
+"""Kind of a hinge, name of the dihedral, and its four atoms, or None for a missing atom."""
 _SHOWN = ("phi", "psi", "omega", *(f"chi{k}" for k in range(1, 6)))
 
 
 def finder(
     structure: Any, kinds: Collection[str]
 ) -> tuple[list[dict[str, int]], Callable[[int], list[NamedDihedral]]]:
-    """Atoms of each residue by name, and what finds the dihedrals of these kinds of a residue."""
+    """Return the atoms of each residue by name, and a function that finds its dihedrals of these kinds."""
     index = [dict[str, int]() for _ in range(structure.n_residues)]
     places = zip(structure.atom_name.tolist(), structure.atom_residue.tolist(), strict=True)
     for atom, (name, residue) in enumerate(places):
@@ -46,7 +46,7 @@ def finder(
 
 
 def dihedrals(structure: Any) -> "pd.DataFrame":
-    """Dihedrals in degrees: a row a residue of the protein, as :meth:`Structure.dihedrals`."""
+    """Dihedrals in degrees, one row per protein residue, as in :meth:`Structure.dihedrals`."""
     import pandas as pd
 
     _, dihedrals_of = finder(structure, ("phi", "psi", "omega", "chi"))

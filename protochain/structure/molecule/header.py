@@ -1,6 +1,6 @@
-"""What a file says beside its atoms, from reading to writing: title, cell, sequences, secondary structure.
+"""Header of a file, from reading to writing: title, cell, sequences, secondary structure.
 
-It travels as mmCIF text of gemmi, a plain value: gemmi's own objects can be changed, and not be pickled.
+It is stored as mmCIF text of gemmi, because gemmi's objects are mutable and cannot be pickled.
 """
 
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ import gemmi
 Label = tuple[str, int | None]
 """``label_asym_id`` of a residue, and its place in the sequence of its entity, from 1.
 
-Where the file has none, as in the PDB format, gemmi's: ``Axp`` for the polymer of chain A.
+Without label ids, as in the PDB format, gemmi assigns them: ``Axp`` for the polymer of chain A.
 """
 
 NO_LABEL: Label = ("", None)
@@ -19,13 +19,13 @@ _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
     "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
-_SPECIAL = tuple(";#'\"_$[]")  # How no plain value of mmCIF begins.
+_SPECIAL = tuple(";#'\"_$[]")  # First characters that no plain mmCIF value has.
 _INFO = ("_struct.title", "_cell.Z_PDB")
-"""Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
+"""Retained entry metadata of gemmi. A computed structure has other experiments and dates."""
 
 
 def read_header(structure: gemmi.Structure, records: str = "") -> str:
-    """Give every residue its label ids, where the file does not, and return what the file says."""
+    """Assign missing label ids to residues and return the header of the file."""
     structure.setup_entities()
     structure.assign_label_seq_id()
     groups = gemmi.MmcifOutputGroups(False)
@@ -50,7 +50,7 @@ def quote_names(block: gemmi.cif.Block) -> None:
 
 
 def with_header(header: str) -> gemmi.Structure:
-    """Return a structure without models that says what a header says."""
+    """Return a structure without models from a header."""
     if not header:
         return gemmi.Structure()
     out = gemmi.make_structure_from_block(gemmi.cif.read_string(header).sole_block())
@@ -60,7 +60,7 @@ def with_header(header: str) -> gemmi.Structure:
 
 
 def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
-    """Make entities and secondary structure those of the residues that are there."""
+    """Restrict entities and secondary structure to the present residues."""
     residues_of: dict[str, list[gemmi.Residue]] = {}
     for model in out:
         for chain in model:
@@ -76,7 +76,7 @@ def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     entities += [_entity(name, residues, complete) for name, residues in residues_of.items()]
     _make_names_unique(entities)
     out.entities = gemmi.EntityList(entities)
-    # Those in the list are copies; the ones that were in it before are gone.
+    # The list has copies, and the previous entities no longer exist.
     info = {label: (entity.name, entity.entity_type) for entity in out.entities for label in entity.subchains}
     for model in out:
         for chain in model:
@@ -86,7 +86,7 @@ def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
 
 
 def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]]) -> bool:
-    """Whether an entity of the file has a place for each residue; its sequence takes their present names."""
+    """Whether an entity has a place for each residue. Its sequence is updated to the present names."""
     residues = [residue for subchain in entity.subchains for residue in residues_of[subchain]]
     is_polymer = entity.entity_type == gemmi.EntityType.Polymer
     if any(is_polymer != (residue.entity_type == gemmi.EntityType.Polymer) for residue in residues):
@@ -106,7 +106,7 @@ def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]]) -> 
 
 
 def _entity(subchain: str, residues: list[gemmi.Residue], complete: bool) -> gemmi.Entity:
-    """Make the entity of one subchain of which the file says nothing that fits."""
+    """Make the entity of a subchain without a fitting entity in the file."""
     entity = gemmi.Entity(subchain)
     entity.subchains = [subchain]
     entity.entity_type = residues[0].entity_type
@@ -146,7 +146,7 @@ def _make_names_unique(entities: list[gemmi.Entity]) -> None:
 
 
 def _filter_annotations(out: gemmi.Structure) -> None:
-    """Keep helices, strands and modified residues that are there, under the names that these now have."""
+    """Remove helices, strands and modified residues that are absent, and update residue names."""
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
         for model in out

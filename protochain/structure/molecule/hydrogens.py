@@ -1,9 +1,9 @@
 """Placement of hydrogens by geometry.
 
-OpenMM's Modeller places hydrogens at random and minimises; here the same atoms give the same positions. Bond
-lengths are ff14SB's, angles follow the hybridisation of the parent, methyl and amine hydrogens are staggered.
-Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulomb energy with a dielectric of
-4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion.
+OpenMM's Modeller places hydrogens at random and minimises. Here equal atoms lead to equal positions. Bond
+lengths are from ff14SB. Angles follow the hybridisation of the parent. Methyl and amine hydrogens are
+staggered. Hydroxyls and thiols are rotated, one after the other, to the minimum of a repulsion and a Coulomb
+energy with a dielectric of 4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979).
 """
 
 from collections.abc import Iterable
@@ -29,9 +29,9 @@ _COULOMB = 138.935 / 40.0
 _CORE = 0.2
 """nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol."""
 _AT_METAL = 0.3
-"""nm. A water whose oxygen is nearer to a metal is bound: 0.24 at calcium, 0.28 at potassium."""
+"""nm. Largest distance of a metal-bound oxygen of water: 0.24 at calcium, 0.28 at potassium."""
 _DECIMALS = 6
-"""Decimals (nm) of the positions: sine and cosine differ in the last bit between libraries."""
+"""Decimals (nm) of positions, because sine and cosine differ in the last bit between libraries."""
 
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
@@ -40,7 +40,7 @@ def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Intege
 
 
 class _Placement:
-    """Positions placed so far, and the bonded neighbours of each atom."""
+    """Present positions and the bonded neighbours of each atom."""
 
     def __init__(self, x: Floats, element: list[str], charge: Floats, bonds: Integers) -> None:
         self.x, self.element, self.charge = np.array(x), element, charge
@@ -55,7 +55,7 @@ class _Placement:
         for parent in self._place_opposite(parents):
             hydrogens = self._hydrogens(parent)
             directions = self._directions(parent, len(hydrogens))
-            # A stray hydrogen more than a parent has room for goes where the energy is lowest.
+            # Excess hydrogens are rotated to the lowest energy.
             if directions is None or len(directions) < len(hydrogens):
                 turning.append(parent)
             else:
@@ -72,7 +72,7 @@ class _Placement:
         return self.x
 
     def _place_opposite(self, parents: Iterable[int]) -> list[int]:
-        """Place those opposite two or three bonds, all at once; return the parents that are left."""
+        """Place hydrogens opposite two or three bonds, all at once. Return the remaining parents."""
         kinds: dict[tuple[bool, int, int], list[list[int]]] = {}
         remaining = []
         for parent in parents:
@@ -107,7 +107,7 @@ class _Placement:
         return [k for k in self.neighbours[parent] if not self.missing[k]]
 
     def _is_planar(self, atom: int) -> bool:
-        """Whether an atom has three neighbours in one plane: a carbon, or a nitrogen beside such a carbon."""
+        """Whether an atom has three neighbours in a plane: a carbon, or a nitrogen next to such a carbon."""
         if len(self.neighbours[atom]) != 3:
             return False
         if self.element[atom] == "C":
@@ -117,7 +117,7 @@ class _Placement:
         )
 
     def _directions(self, parent: int, n: int) -> Floats | None:
-        """Return unit vectors (n, 3) to the hydrogens at one bond, or None where they rotate freely."""
+        """Return unit vectors (n, 3) to the hydrogens at one bond, or None if they rotate freely."""
         bonded, planar = self._placed_neighbours(parent), self._is_planar(parent)
         if len(bonded) == 1 and planar:
             return self._directions_around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
@@ -126,7 +126,7 @@ class _Placement:
         return None
 
     def _directions_around(self, parent: int, angle: float, turns: Floats) -> Floats:
-        """Directions (n, 3) by the angle to the parent's one known bond and the dihedral about it."""
+        """Directions (n, 3) from the angle to the only placed bond of the parent, and dihedrals about it."""
         (near,) = self._placed_neighbours(parent)[:1]
         axis = _unit(self.x[near] - self.x[parent])
         behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
@@ -159,7 +159,7 @@ class _Placement:
         return np.asarray((coulomb + (_CORE / r) ** 12).sum(axis=1))
 
     def _turn_from_metals(self, parent: int) -> None:
-        """Turn both hydrogens of a water at metals about the axis that leads away from them."""
+        """Rotate both hydrogens of a metal-bound water about the axis away from the metals."""
         hydrogens, to = self._hydrogens(parent), self.x[parent] - self.x[self.metals]
         to = to[np.linalg.norm(to, axis=1) < _AT_METAL]
         if len(hydrogens) != 2 or len(self.neighbours[parent]) != 2 or not len(to):
@@ -184,7 +184,7 @@ class _Placement:
 
 
 def _unit(v: Floats) -> Floats:
-    """Unit vectors along vectors (..., 3); x where they have no length."""
+    """Unit vectors along vectors (..., 3), or x for zero vectors."""
     length = np.sqrt(dots(v, v))[..., None]
     return np.where(length > 1e-9, v / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
 

@@ -1,4 +1,4 @@
-"""Bonds, or pairs that may be bonds, between the protein and what is kept with it, and their lengths."""
+"""Bonds and possible bonds between the protein and hetero molecules, and their lengths."""
 
 from dataclasses import dataclass
 
@@ -11,27 +11,27 @@ _OXYGEN_DISTANCE = {
     "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
     "Cu": 1.99, "Zn": 1.99,
 }  # fmt: skip
-"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
+"""Angstrom, usual distance of oxygen in proteins (Harding, Acta Cryst. D62:678, 2006), of Ni by radius."""
 _OTHER_METAL = 2.3
-"""Angstrom: of metals that are not in the table."""
+"""Angstrom. Usual distance of oxygen for metals outside the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
-"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
+"""Angstrom. Largest excess of a bonded donor over the usual distance of oxygen. Sulphur is larger."""
 _AXIAL = 1.2
-"""The same of methionine at blue copper, 2.8 to 3.1 angstrom away (Guss, Freeman, J. Mol. Biol. 169:521,
-1983)."""
+"""Angstrom. Excess for methionine at blue copper, at 2.8 to 3.1 angstrom (Guss, Freeman, J. Mol. Biol.
+169:521, 1983)."""
 _TRIPLE = 1.35
-"""Angstrom: carbon with one heavy neighbour, no further away than this, is that of cyanide or CO."""
+"""Angstrom. Largest distance of the only heavy neighbour of the carbon of cyanide or CO."""
 _TOO_NEAR = 0.6
-"""Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
+"""Angstrom. A donor closer to a metal than usual by more overlaps the metal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Atom of the protein and one kept with it: a bond, or a pair that may be one."""
+    """Atom of the protein and atom of a hetero molecule, bonded or perhaps bonded."""
 
     member: Member
     atom: gemmi.Atom
-    hetero: Member  # Kept beside the protein.
+    hetero: Member  # Hetero molecule.
     hetero_atom: gemmi.Atom
     stated: bool = False  # Whether the file states a bond.
 
@@ -40,7 +40,7 @@ class Link:
 
     @property
     def atoms(self) -> tuple[Atom, Atom]:
-        """What a file calls the atoms."""
+        """Names of the atoms in files."""
         return Atom(self.atom.name, self.member.residue), Atom(self.hetero_atom.name, self.hetero.residue)
 
     @property
@@ -50,7 +50,7 @@ class Link:
 
     @property
     def is_coordinated(self) -> bool:
-        """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
+        """Whether an atom coordinates a metal: a donor at a usual distance, or a bond stated by the file."""
         usual = _OXYGEN_DISTANCE.get(self.hetero_atom.element.name, _OTHER_METAL)
         if self.stated or self.length < usual - _TOO_NEAR:
             return self.length >= usual - _TOO_NEAR
@@ -75,7 +75,7 @@ class Link:
 
     @property
     def excess(self) -> float:
-        """Distance beyond the usual one of a covalent bond, angstrom."""
+        """Excess of the distance over a usual covalent bond, angstrom."""
         return self.length - usual_length(self.atom.element.name, self.hetero_atom.element.name)
 
     @property

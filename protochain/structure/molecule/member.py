@@ -1,4 +1,4 @@
-"""A residue in one conformation, while a file is prepared."""
+"""A residue in one conformation, during the preparation of a file."""
 
 from dataclasses import dataclass, field
 
@@ -14,9 +14,9 @@ Address = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Unknown:
-    """Mark of an amino acid, or a nucleotide of a strand, that no force field has."""
+    """Mark of an amino acid, or a nucleotide of a strand, without force-field parameters."""
 
-    parent: str = ""  # Standard amino acid that it becomes without parameters; empty if there is none.
+    parent: str = ""  # Standard amino acid that replaces it without parameters, or empty.
 
 
 @dataclass(eq=False)
@@ -28,39 +28,39 @@ class Member:
     insertion_code: str
     chain_id: str
     atoms: list[gemmi.Atom]  # Positions in angstrom.
-    state: str = ""  # Protonation state that its name in the file implies; empty if none.
-    # Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
+    state: str = ""  # Protonation state that its name in the file implies, or empty.
+    # Whether it is a D-amino acid: by its name in the file, or by its atoms if the name is ambiguous.
     is_d: bool = False
-    # Of its parameters: a template by its chemistry or elements; none if the force field has them.
+    # Of its parameters: a template by its chemistry or elements, or None if the force field has them.
     source: Template | Unknown | None = None
-    # Its atoms that are bonded to a molecule kept with the protein, and to a metal.
+    # Its atoms that are bonded to a hetero molecule, and to a metal.
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL  # Label ids of the file.
-    raw_name: str = ""  # Its name in the file, where another.
-    order: tuple[str, ...] = ()  # Names of its atoms, if those that are added have places among them.
+    raw_name: str = ""  # Its name in the file, if different.
+    order: tuple[str, ...] = ()  # Names of its atoms, if added atoms have places in the order.
 
     def __str__(self) -> str:
         return str(self.residue)
 
     @property
     def template(self) -> Template | None:
-        """Template that it has apart from the force field's."""
+        """Template outside the force field, if it has one."""
         return self.source if isinstance(self.source, Template) else None
 
     @property
     def is_unknown(self) -> bool:
-        """Whether it is an amino acid, or a nucleotide of a strand, that no force field has."""
+        """Whether it is an amino acid, or a nucleotide of a strand, without force-field parameters."""
         return isinstance(self.source, Unknown)
 
     @property
     def parent(self) -> str:
-        """Standard amino acid that an unknown one becomes without parameters; empty if there is none."""
+        """Standard amino acid that replaces an unknown one without parameters, or empty."""
         return self.source.parent if isinstance(self.source, Unknown) else ""
 
     @property
     def residue(self) -> residues.Residue:
-        """What a file calls it."""
+        """Chain, number and name in files."""
         return residues.Residue(self.chain_id, self.seqid, residues.name_in_file(self.name, self.is_d))
 
     @property
@@ -79,7 +79,7 @@ class Member:
         return self.number + self.insertion_code
 
     def address(self, name: str) -> Address:
-        """Where the file has one of its atoms."""
+        """Address of one of its atoms in the file."""
         return self.chain_id, self.seqid, name
 
     def atom(self, name: str) -> gemmi.Atom | None:
@@ -88,7 +88,7 @@ class Member:
 
 
 def address_of(place: gemmi.AtomAddress) -> Address:
-    """Where gemmi has an atom of a bond."""
+    """Address of an atom of a bond in gemmi."""
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
 
 

@@ -1,7 +1,7 @@
 """Sugars: their names in the PDB archive, their configuration, and their codes in GLYCAM-06j.
 
-Kirschner et al., J. Comput. Chem. 29:622 (2008). A code tells where a sugar is substituted, which it is, and
-its anomer: 4YB is beta-D-N-acetylglucosamine whose O4 bears another.
+Kirschner et al., J. Comput. Chem. 29:622 (2008). A code has the substituted oxygens, the sugar and its
+anomer: 4YB is beta-D-N-acetylglucosamine whose O4 bears another.
 """
 
 from collections.abc import Iterable
@@ -46,8 +46,8 @@ def last_of_ring(code: str) -> int:
 
 def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:
     """Chiral atoms of a sugar by its letters, as ``YB``, each with three neighbours of positive volume."""
-    # In a Fischer projection the atoms before and after a centre point away from the viewer; before the
-    # anomeric carbon is the oxygen of the ring, and that of the link is to the right in alpha-D-sugars.
+    # In a Fischer projection the atoms before and after a centre point away from the viewer. The ring oxygen
+    # is before the anomeric carbon, and the oxygen of the link is to the right in alpha-D-sugars.
     is_sialic, is_d = code in _SIALIC, code[0].isupper()
     first, sides = (4, "RLLRR") if is_sialic else (2, _FISCHER[code[0].upper()])
     amine = "C5" if is_sialic else "C2" if code[0] in "YWV" else ""
@@ -66,7 +66,7 @@ _SUBSTITUTED = {
     "246": "R", "346": "Q", "2346": "P", "4789": "A", "789": "B", "489": "C", "479": "D", "478": "E",
     "89": "F", "79": "G", "78": "H", "49": "I", "48": "J", "47": "K",
 }  # fmt: skip
-"""First letter of a code by the numbers of the oxygens that bear other sugars; of a single one its number."""
+"""First letter of a code by the numbers of substituted oxygens. A single oxygen has its number."""
 
 
 def glycam_code(letters: str, substituted: Iterable[str]) -> str:
@@ -76,7 +76,7 @@ def glycam_code(letters: str, substituted: Iterable[str]) -> str:
 
 
 def other_anomer(letters: str) -> str:
-    """Letters of the other anomer; GLYCAM has one of N-glycolylneuraminic acid."""
+    """Letters of the other anomer. N-glycolylneuraminic acid has only one in GLYCAM."""
     return letters[0] + {"A": "B", "B": "A"}.get(letters[1], "?")
 
 
@@ -87,7 +87,7 @@ _AMIDES = {"C7": "C2N", "O7": "O2N", "C8": "CME"}, {"C10": "C5N", "O10": "O5N", 
 
 
 def glycam_names(sugar: str) -> dict[str, str]:
-    """What GLYCAM calls those atoms of a sugar that have other names in the PDB archive."""
+    """GLYCAM names of the atoms of a sugar with other names in the PDB archive."""
     code = SUGARS[sugar]
     methyl = {"C6": "C6M"} if code == "hB" else {}
     return _AMIDES[1] if code in _SIALIC else _AMIDES[0] if code[0] in "YWV" else methyl

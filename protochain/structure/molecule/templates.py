@@ -1,6 +1,6 @@
 """Residue templates of OpenMM's Amber files, with every synonym of an atom's name.
 
-Names, elements, charges and bonds are read from the files; scripts in them are never run.
+Names, elements, charges and bonds are read from the files. Scripts in them are never run.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -27,13 +27,13 @@ PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
 DNA, RNA = _DATA / "amber14" / "DNA.OL15.xml", _DATA / "amber14" / "RNA.OL3.xml"
 GLYCAM = _DATA / "amber14" / "GLYCAM_06j-1.xml"
-"""Parameters of glycans, with the atom types of the protein's."""
+"""Parameters of glycans, with atom types of the protein force field."""
 HAS_GLYCAM = "amber14"
-"""The force field that they were made for."""
+"""Force field of proteins for these glycans."""
 HAS_SAGE = "amber19"
-"""The other one whose residues Sage goes with."""
+"""Force field of proteins that Sage is combined with."""
 _BONDED = 2.2
-"""Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
+"""Angstrom. Largest bond length of an amino acid (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"
 """Root of OpenFF's .offxml files."""
 NO_XML = "not a force-field XML file"
@@ -43,7 +43,7 @@ CONVERT = (
     "(debug_ffxml_filename), as amber14,ligand.xml"
 )
 PHOSPHATE_END = "5'-P-"
-"""Before the name of a nucleotide: the first one of a strand, with its phosphate."""
+"""Prefix of the first nucleotide of a strand, with its phosphate."""
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 
@@ -58,7 +58,7 @@ class Template:
     synonyms: Mapping[str, str]  # PDB name of every other name of an atom.
     # Atom type of each atom in the force field, by PDB name.
     type: Mapping[str, str] = field(default_factory=dict)
-    is_users: bool = False  # Whether it is from a file of the user's.
+    is_users: bool = False  # Whether it is from a file of the user.
 
     @cached_property
     def heavy(self) -> list[str]:
@@ -67,7 +67,7 @@ class Template:
 
     @cached_property
     def outward(self) -> list[tuple[str, str]]:
-        """Its bonds in the order by which two hydrogens of a carbon are named: N and C last."""
+        """Bonds in the order that names two hydrogens of a carbon: N and C last."""
         return sorted(self.bonds, key=lambda bond: max("ABGDEZHNC".find(name[1:2] or name) for name in bond))
 
     def neighbours(self, name: str) -> set[str]:
@@ -75,10 +75,10 @@ class Template:
         return {end for bond in self.bonds if name in bond for end in bond} - {name}
 
     def without_hydrogen(self, parent: str) -> "Template":
-        """Return the template without the last hydrogen of a heavy atom, whose place another bond takes."""
-        gone = self.hydrogens.get(parent, [])[-1:]
-        kept = {name: element for name, element in self.element.items() if name not in gone}
-        return replace(self, element=kept, bonds=tuple(bond for bond in self.bonds if not {*bond} & {*gone}))
+        """Return the template without the last hydrogen of a heavy atom, which another bond replaces."""
+        cut = self.hydrogens.get(parent, [])[-1:]
+        atoms = {name: element for name, element in self.element.items() if name not in cut}
+        return replace(self, element=atoms, bonds=tuple(bond for bond in self.bonds if not {*bond} & {*cut}))
 
     def exchange(self, first: str, second: str) -> "Template":
         """Return the template with the names of two atoms of one element exchanged."""
@@ -87,25 +87,25 @@ class Template:
             self,
             charge={new.get(name, name): charge for name, charge in self.charge.items()},
             bonds=tuple((new.get(a, a), new.get(b, b)) for a, b in self.bonds),
-            type={new.get(name, name): its for name, its in self.type.items()},
+            type={new.get(name, name): kind for name, kind in self.type.items()},
         )
 
     @cached_property
     def hydrogens(self) -> dict[str, list[str]]:
         """Names of the hydrogens bonded to each heavy atom."""
-        found: dict[str, list[str]] = {}
+        children: dict[str, list[str]] = {}
         for first, second in self.bonds:
             for parent, child in ((first, second), (second, first)):
                 if self.element[child] == "H" and self.element[parent] != "H":
-                    found.setdefault(parent, []).append(child)
-        return found
+                    children.setdefault(parent, []).append(child)
+        return children
 
 
 def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
     """Templates by name: proteins, caps, nucleic acids, water and ions."""
     # A user's file may change between calls.
-    own = {name: replace(each, is_users=True) for name, each in _read(user_files).items()}
-    return {**own, **_phosphates(), **_amber()}
+    users = {name: replace(template, is_users=True) for name, template in _read(user_files).items()}
+    return {**users, **_phosphates(), **_amber()}
 
 
 def residue_names(user_files: Sequence[Path]) -> set[str]:
@@ -115,24 +115,24 @@ def residue_names(user_files: Sequence[Path]) -> set[str]:
 
 @cache
 def _phosphates() -> Mapping[str, Template]:
-    known = _read([PROTEIN, PHOSPHATES["amber14"]])
-    return {name: template for name, template in known.items() if name not in _amber()}
+    loaded = _read([PROTEIN, PHOSPHATES["amber14"]])
+    return {name: template for name, template in loaded.items() if name not in _amber()}
 
 
 @cache
 def _amber() -> Mapping[str, Template]:
-    known: dict[str, Template] = {}
+    loaded: dict[str, Template] = {}
     for name in _FILES:
-        known = {**_read([_DATA / "amber14" / name]), **known}
-    ends = (_with_phosphate(known[name], known[f"{name}5"]) for name in sorted(NUCLEOTIDES))
-    return known | {each.name: each for each in ends}
+        loaded = {**_read([_DATA / "amber14" / name]), **loaded}
+    ends = (_with_phosphate(loaded[name], loaded[f"{name}5"]) for name in sorted(NUCLEOTIDES))
+    return loaded | {end.name: end for end in ends}
 
 
 def _with_phosphate(inner: Template, end: Template) -> Template:
-    """Template of a 5' end with its phosphate, without hydrogens (pKa 1, 6); its oxygens are equal."""
+    """Template of a 5' end with its phosphate, without hydrogens (pKa 1, 6), with equal oxygens."""
     oxygens = ("OP1", "OP2", "OP3")
-    rest = sum(charge for name, charge in inner.charge.items() if name not in oxygens)
-    share = (sum(end.charge.values()) - 2.0 - rest) / len(oxygens)
+    other_charge = sum(charge for name, charge in inner.charge.items() if name not in oxygens)
+    share = (sum(end.charge.values()) - 2.0 - other_charge) / len(oxygens)
     return replace(
         inner,
         name=PHOSPHATE_END + inner.name,
@@ -150,11 +150,11 @@ def phosphate_ends() -> bytes:
     root = ElementTree.Element("ForceField")
     residues = ElementTree.SubElement(root, "Residues")
     for name in sorted(NUCLEOTIDES):
-        its = _amber()[PHOSPHATE_END + name]
-        node = ElementTree.SubElement(residues, "Residue", name=its.name)
-        for each, charge in its.charge.items():
-            ElementTree.SubElement(node, "Atom", name=each, type=its.type[each], charge=repr(charge))
-        for first, second in its.bonds:
+        template = _amber()[PHOSPHATE_END + name]
+        node = ElementTree.SubElement(residues, "Residue", name=template.name)
+        for atom, charge in template.charge.items():
+            ElementTree.SubElement(node, "Atom", name=atom, type=template.type[atom], charge=repr(charge))
+        for first, second in template.bonds:
             ElementTree.SubElement(node, "Bond", atomName1=first, atomName2=second)
         ElementTree.SubElement(node, "ExternalBond", atomName="O3'")
     return ElementTree.tostring(root)
@@ -164,8 +164,8 @@ def phosphate_ends() -> bytes:
 def strand_junctions(*files: str) -> bytes:
     """Return the terms of bonds between DNA and RNA as OpenMM XML, from the files of both.
 
-    Both have AMBER's atom types, under prefixes. A term with O3'-P is repeated with one side in the types of
-    the other kind, as in LEaP, where the types of OL3 and OL15 are of one set.
+    Both have AMBER's atom types, with prefixes. A term with O3'-P is repeated with one side in the types of
+    the other kind, as in LEaP, whose types of OL3 and OL15 are of one set.
     """
     root = ElementTree.Element("ForceField")
     for file in files:
@@ -180,14 +180,14 @@ def strand_junctions(*files: str) -> bytes:
                     continue
                 bare = [term.attrib[key][len(_KINDS[0]) :] for key in keys]
                 values = {key: value for key, value in term.attrib.items() if key not in keys}
-                own = next(term.attrib[key] for key in keys if term.attrib[key])[: len(_KINDS[0])]
+                prefix = next(term.attrib[key] for key in keys if term.attrib[key])[: len(_KINDS[0])]
                 for k, ends in enumerate(pairwise(bare), 1):
                     if {*ends} != {"OS", "P"}:
                         continue
-                    # Of the nucleotide with more of the atoms; of equal ones, that of O3'.
+                    # The nucleotide with more of the atoms decides, or the nucleotide of O3' if equal.
                     is_first = 2 * k > len(bare) or (2 * k == len(bare) and ends[0] == "OS")
-                    other = _KINDS[own == _KINDS[0]]
-                    kinds = (own, other) if is_first else (other, own)
+                    other_prefix = _KINDS[prefix == _KINDS[0]]
+                    kinds = (prefix, other_prefix) if is_first else (other_prefix, prefix)
                     mixed = {f"type{i + 1}": name and kinds[i >= k] + name for i, name in enumerate(bare)}
                     ElementTree.SubElement(node, term.tag, values | mixed)
     return ElementTree.tostring(root)
@@ -209,51 +209,51 @@ def _read(files: Sequence[Path]) -> dict[str, Template]:
         if roots[file].tag == SMIRNOFF:
             raise StructureError(f"{file}: {NO_OPENMM}; {CONVERT}")
     elements = {node.get("name"): node.get("element", "") for r in roots.values() for node in r.iter("Type")}
-    made = []
+    residues = []
     for file, root in roots.items():
         try:
-            made += [_template(node, elements) for node in root.iterfind("Residues/Residue")]
+            residues += [_template(node, elements) for node in root.iterfind("Residues/Residue")]
         except (KeyError, ValueError, IndexError) as error:
             raise StructureError(f"{file}: a residue in it cannot be read ({error!r})") from None
-    return {template.name: template for template in made}
+    return {template.name: template for template in residues}
 
 
 def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> Template:
     name = node.get("name", "")
     atoms = [atom for atom in node.iterfind("Atom") if elements.get(atom.get("type"), "")]
     order = [atom.get("name", "") for atom in atoms]
-    primary, others = _names(standard_name(name)[0]) if _is_listed(name, order) else ({}, {})
-    called = {given: _called(given, primary) for given in order}
+    primary, alternatives = _names(standard_name(name)[0]) if _is_listed(name, order) else ({}, {})
+    names = {raw: _pdb_name(raw, primary) for raw in order}
     synonyms: dict[str, str] = {}
-    for given in order:
-        for other in (given, primary.get(given, given), *others.get(primary.get(given, given), ())):
-            synonyms.setdefault(other, called[given])
+    for raw in order:
+        for synonym in (raw, primary.get(raw, raw), *alternatives.get(primary.get(raw, raw), ())):
+            synonyms.setdefault(synonym, names[raw])
     bonds = []
     for bond in node.iterfind("Bond"):
         ends = [bond.get(f"atomName{i}") for i in (1, 2)]
         if None in ends:
             ends = [order[int(bond.get(end, ""))] for end in ("from", "to")]
-        if ends[0] in called and ends[1] in called:
-            bonds.append((called[str(ends[0])], called[str(ends[1])]))
+        if ends[0] in names and ends[1] in names:
+            bonds.append((names[str(ends[0])], names[str(ends[1])]))
     return Template(
         name,
-        {called[given]: elements[atom.get("type")] for given, atom in zip(order, atoms, strict=True)},
-        {called[given]: float(atom.get("charge", 0.0)) for given, atom in zip(order, atoms, strict=True)},
+        {names[raw]: elements[atom.get("type")] for raw, atom in zip(order, atoms, strict=True)},
+        {names[raw]: float(atom.get("charge", 0.0)) for raw, atom in zip(order, atoms, strict=True)},
         tuple(bonds),
-        {other: pdb_name for other, pdb_name in synonyms.items() if other not in set(called.values())},
-        {called[given]: atom.get("type", "") for given, atom in zip(order, atoms, strict=True)},
+        {synonym: pdb_name for synonym, pdb_name in synonyms.items() if synonym not in set(names.values())},
+        {names[raw]: atom.get("type", "") for raw, atom in zip(order, atoms, strict=True)},
     )
 
 
 def _is_listed(name: str, atoms: Sequence[str]) -> bool:
-    """Whether atoms may have the other names of amino acids and nucleotides: a ligand's O1 is not its O."""
+    """Whether atoms may have synonyms of amino acids and nucleotides, unlike O1 of a ligand."""
     is_terminal = len(name) == 4 and name[0] in "NC"
     return is_terminal or standard_name(name)[0] in _alternatives() or {"N", "CA"} <= {*atoms}
 
 
-def _called(given: str, primary: Mapping[str, str]) -> str:
-    """PDB name of an atom; the first hydrogen of a charged N terminus is H1."""
-    return given if given == "H1" and primary.get(given) == "H" else primary.get(given, given)
+def _pdb_name(raw: str, primary: Mapping[str, str]) -> str:
+    """PDB name of an atom. The first hydrogen of a charged N terminus is H1."""
+    return raw if raw == "H1" and primary.get(raw) == "H" else primary.get(raw, raw)
 
 
 @cache
@@ -277,11 +277,11 @@ def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
     """PDB name of every alternative name, and alternatives of every PDB name, in a residue."""
     table = _alternatives()
     kind, names = table.get(residue, ("Protein", {}))
-    others = {**table.get(kind, ("", {}))[1], **names}
-    others = {name: [each for each in given if each not in names] for name, given in others.items()}
+    aliases = {**table.get(kind, ("", {}))[1], **names}
+    aliases = {name: [a for a in row if a not in names] for name, row in aliases.items()}
     if residue == "ILE":
-        others.setdefault("CD1", []).append("CD")
-    return {other: name for name, given in others.items() for other in given}, others
+        aliases.setdefault("CD1", []).append("CD")
+    return {a: name for name, row in aliases.items() for a in row}, aliases
 
 
 _WATERS = ("SPCE", "TP3M", "TIP5", "OPC")
@@ -291,16 +291,16 @@ _WATERS = ("SPCE", "TP3M", "TIP5", "OPC")
 @cache
 def _residue_names() -> dict[str, str]:
     root = ElementTree.parse(_DATA / "pdbNames.xml").getroot()
-    found = dict.fromkeys(_WATERS, "HOH")
+    names = dict.fromkeys(_WATERS, "HOH")
     for node in root.iterfind("Residue"):
         for key, value in node.items():
             if key.startswith("alt"):
-                found[value] = node.get("name", "")
-    return found
+                names[value] = node.get("name", "")
+    return names
 
 
 def standard_name(name: str) -> tuple[str, str]:
-    """Return the PDB name of a residue, and the protonation state that the given name (HIE, HSE) implies."""
+    """Return the PDB name of a residue, and the protonation state that the name (HIE, HSE) implies."""
     if name in STATE_PARENT:
         return STATE_PARENT[name]
     if name in LINKED:
@@ -313,67 +313,67 @@ def standard_name(name: str) -> tuple[str, str]:
 
 
 def name_by_atoms(
-    given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Template], own: Collection[str] = ()
+    code: str, atoms: Collection[gemmi.Atom], library: Mapping[str, Template], stated: Collection[str] = ()
 ) -> tuple[str, str]:
-    """Return what :func:`standard_name` does of a name that has this meaning with these atoms, or as given.
+    """Apply :func:`standard_name` if the atoms agree with its result, else return the name unchanged.
 
-    ``own`` are components whose bonds the file states: another name's atoms do not make them that.
+    ``stated`` are components with bonds in the file. The atoms of another residue do not rename them.
 
-    Names mean several things: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the PDB
-    archive; ``HSE`` histidine in CHARMM, and homoserine; ``HIP`` histidine in Amber, and its phosphate;
-    ``NHE`` a cap, and a buffer; ``CYN`` cysteine, and cyanide; ``DCY`` deoxycytidine in OpenMM's table, and
+    Names have several meanings: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the
+    PDB archive, ``HSE`` histidine in CHARMM, and homoserine, ``HIP`` histidine in Amber, and its phosphate,
+    ``NHE`` a cap, and a buffer, ``CYN`` cysteine, and cyanide, ``DCY`` deoxycytidine in OpenMM's table, and
     D-cysteine.
     """
-    name, state = standard_name(given)
-    if name == given and name in (*STANDARD, *CAPS, "HOH"):
-        return given, ""
+    name, state = standard_name(code)
+    if name == code and name in (*STANDARD, *CAPS, "HOH"):
+        return code, ""
     heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
-    if (name == given or name in NUCLEOTIDES) and given not in own and (found := _of_atoms(given, heavy)):
-        return found, ""
-    if name == given:
-        return given, ""
+    if (name == code or name in NUCLEOTIDES) and code not in stated and (match := _of_atoms(code, heavy)):
+        return match, ""
+    if name == code:
+        return code, ""
     if name == "HOH":
         fits = [atom.element.name for atom in atoms if atom.element.atomic_number > 1] == ["O"]
     elif name in NUCLEOTIDES:
         fits = bool(heavy & {"C1'", "C1*"})
     else:
-        template = known["HIP" if name == "HIS" else template_name(name)]
-        like = (template, known["NALA"], known["CALA"])
-        strange = heavy - {name for each in like for name in (*each.element, *each.synonyms)}
-        lacking = {*template.heavy} - {template.synonyms.get(each, each) for each in heavy}
-        # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
-        is_cut = lacking or given in LINKED or name not in STANDARD or archive_parent(given)
+        template = library["HIP" if name == "HIS" else template_name(name)]
+        like = (template, library["NALA"], library["CALA"])
+        strange = heavy - {name for t in like for name in (*t.element, *t.synonyms)}
+        lacking = {*template.heavy} - {template.synonyms.get(name, name) for name in heavy}
+        # A complete amino acid with extra atoms has its name, unless the archive has a modified one so named.
+        is_cut = lacking or code in LINKED or name not in STANDARD or archive_parent(code)
         fits = not (strange and is_cut) and (name not in STANDARD or "CA" in heavy)
-    return (name, state) if fits else (given, "")
+    return (name, state) if fits else (code, "")
 
 
-def _of_atoms(given: str, heavy: set[str]) -> str:
+def _of_atoms(code: str, heavy: set[str]) -> str:
     """Standard residue with these heavy atoms (GLUP, ARN, RA ...), unless an archive's component has them."""
-    if given == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_OF_ENDS}:
+    if code == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_OF_ENDS}:
         return "ALA" if "CB" in heavy else "GLY"
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
     if (
         not (is_nucleic or is_amino)
-        or (given in _amber() and standard_name(given)[0] not in NUCLEOTIDES)
-        or archive_parent(given)
+        or (code in _amber() and standard_name(code)[0] not in NUCLEOTIDES)
+        or archive_parent(code)
     ):
         return ""
     for name in sorted(NUCLEOTIDES) if is_nucleic else STANDARD:
         template = _amber()["HIP" if name == "HIS" else name]
-        if {template.synonyms.get(each, each) for each in heavy} - _OF_ENDS == {*template.heavy} - _OF_ENDS:
-            # A nucleotide of the archive may be incomplete here, or another arrangement of the same atoms.
-            own, its = heavy - _OF_ENDS, heavy_atoms(given) - _OF_ENDS
-            is_its = own <= its if is_nucleic and given not in NUCLEOTIDES else own == its
-            return "" if is_its and given not in NUCLEOTIDES else name
+        if {template.synonyms.get(name, name) for name in heavy} - _OF_ENDS == {*template.heavy} - _OF_ENDS:
+            # A nucleotide of the archive may be incomplete, or another arrangement of the same atoms.
+            present, listed = heavy - _OF_ENDS, heavy_atoms(code) - _OF_ENDS
+            is_listed = present <= listed if is_nucleic and code not in NUCLEOTIDES else present == listed
+            return "" if is_listed and code not in NUCLEOTIDES else name
     return ""
 
 
 _OF_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
-"""Heavy atoms that a residue has or not, as it is within a chain or at its end."""
+"""Heavy atoms that depend on the place of a residue in a chain or at its end."""
 
 
 def archive_parent(name: str) -> str:
-    """Return the standard amino acid that one of the PDB archive derives from, or an empty string."""
+    """Return the standard parent of an amino acid of the PDB archive, or an empty string."""
     if name in _PARENTS:
         return _PARENTS[name]
     info = gemmi.find_tabulated_residue(name)
@@ -398,11 +398,11 @@ _PARENTS = {
     }.items()
     for name in names.split()
 }  # fmt: skip
-"""Of PDBFixer 1.12 (see NOTICE); the archive says nothing of the parents of most of these names."""
+"""Parents from PDBFixer 1.12 (see NOTICE). The archive lacks the parents of most of these names."""
 _OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
     "U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"
 }  # fmt: skip
-"""Selenocysteine, pyrrolysine, and what is an acid or its amide, become the standard ones like them."""
+"""Selenocysteine, pyrrolysine, B and Z become the standard residues like them."""
 
 
 def template_name(residue: str) -> str:
@@ -411,14 +411,14 @@ def template_name(residue: str) -> str:
 
 
 def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str]:
-    """Yield names by which atoms of a modified residue mean its parent's: O1 is O, but not in a sulphate."""
-    there = {atom.name: atom for atom in atoms}
-    for other, name in template.synonyms.items():
-        if other in there and name not in there:
+    """Yield atom names that are synonyms of the parent's: O1 of a modified residue is O, unless of a sulphate."""
+    present = {atom.name: atom for atom in atoms}
+    for synonym, name in template.synonyms.items():
+        if synonym in present and name not in present:
             partners = [end for bond in template.bonds if name in bond for end in bond if end != name]
-            beside = [there[end].pos for end in partners if end in there]
-            if any(there[other].pos.dist(at) < _BONDED for at in beside):
-                yield other
+            partner_positions = [present[end].pos for end in partners if end in present]
+            if any(present[synonym].pos.dist(at) < _BONDED for at in partner_positions):
+                yield synonym
 
 
 def rename(atoms: list[gemmi.Atom], template: Template) -> list[tuple[str, str]]:
