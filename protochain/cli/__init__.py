@@ -86,7 +86,7 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def about(
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version, and stop.", is_eager=True)
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True)
     ] = False,
 ) -> None:
     """Minimise the energy of protein chains, and compare how."""
@@ -130,7 +130,7 @@ def main() -> None:
     if None in (sys.stdin, sys.stdout, sys.stderr):
         # The next opened file would replace the closed stream, and receive the printed text.
         sys.stderr = sys.stderr or io.StringIO()
-        sys.exit(fail("standard input, output or error is closed; give it a file, or /dev/null", BAD_INPUT))
+        sys.exit(fail("standard input, output or error is closed. Redirect it, as to /dev/null", BAD_INPUT))
     with redirect_stdout(Printable(sys.stdout)), redirect_stderr(Printable(sys.stderr)):
         sys.exit(_status())
 
@@ -157,9 +157,9 @@ def _status() -> int:
     except OSError as error:
         if error.errno in _FULL and not error.filename:
             _close_output()
-            return fail(f"standard output: not written ({error.strerror}); all files are complete")
+            return fail(f"standard output: not written ({error.strerror}), but all files are complete")
         if error.errno in _NO_WAY and error.filename:
-            return fail(f"{error.filename}: cannot be reached ({error.strerror}); check the name", BAD_INPUT)
+            return fail(f"{error.filename}: cannot be reached ({error.strerror}). Check the name", BAD_INPUT)
         where = f"{error.filename}: " if error.filename else ""
         return fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:

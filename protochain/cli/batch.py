@@ -16,15 +16,15 @@ from protochain.relaxation.relax_settings import RelaxSettings
 
 Inputs = Annotated[
     list[str] | None,
-    typer.Argument(metavar="IN...", help="Files, folders, patterns; - lists them on standard input."),
+    typer.Argument(metavar="IN...", help="Files, folders or patterns. - lists them on standard input."),
 ]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")]
-Methods = Annotated[str, typer.Option(help="Methods, with commas between; relax is one.")]
+Methods = Annotated[str, typer.Option(help="Methods, separated by commas, also relax.")]
 Workers = Annotated[int | None, typer.Option(help="Processes on this machine [default: all cores].")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
-TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
+TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is stopped.")]
 ByNul = Annotated[
-    bool, typer.Option("--null", "-0", help="Names on standard input have NULs between them: find -print0.")
+    bool, typer.Option("--null", "-0", help="Names on standard input are separated by NULs (find -print0).")
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
@@ -53,7 +53,7 @@ def batch(
     relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
-    """Minimise or relax many structures in many processes; a failure is reported and stops no other."""
+    """Minimise or relax many structures in many processes. Failures are reported and skipped."""
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
     from protochain.batches.cluster import Processes
@@ -66,7 +66,7 @@ def batch(
         words(methods), setup=setup, relaxing=relaxing, **vars(minimising), **vars(starting)
     )
     if "-" not in (inputs or ()):
-        options.refuse(context, "null", "is of names on standard input, which is not asked for (-)")
+        options.refuse(context, "null", "applies to names on standard input (-) only")
     # Standard input can be read only once.
     lines = [line for source in inputs or () for line in (read_names(null) if source == "-" else [source])]
     if dry_run:

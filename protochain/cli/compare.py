@@ -34,15 +34,15 @@ def compare(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
     ] = None,
-    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = ",".join(defaults.COMPARED),
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = ",".join(defaults.COMPARED),
     repeats: Annotated[
-        int, typer.Option(help="Runs of each method that does not repeat exactly.")
+        int, typer.Option(help="Runs of each method that is not deterministic.")
     ] = defaults.REPEATS,
     reference: Annotated[Path | None, typer.Option(help="Also compare the ends with this structure.")] = None,
     tolerance: Annotated[
         float,
         typer.Option(
-            help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
+            help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) if all atoms move."
         ),
     ] = defaults.TOLERANCE,
     figure: options.FigureFile = None,
@@ -52,7 +52,7 @@ def compare(
     minimising: MinimiseSettings,
     setup: Setup,
 ) -> None:
-    """Minimise one structure by several methods; write tables, plots, structures and report.html."""
+    """Minimise one structure by several methods. Write tables, plots, structures and report.html."""
     from protochain.comparison import compare as run
     from protochain.comparison.comparing import SETTINGS
     from protochain.comparison.folder import check_folder, files_of
@@ -86,7 +86,7 @@ def compare(
     summary = comparison.summary()
     missing = chosen[len(comparison.solutions) :]
     if missing:
-        print(f"protochain: interrupted: {', '.join(missing)} left out", file=sys.stderr)
+        print(f"protochain: interrupted before {', '.join(missing)}", file=sys.stderr)
     if as_json:
         options.print_json(summary | {"output": str(output)})
     else:
@@ -94,7 +94,7 @@ def compare(
         options.print_lost(summary["results"])
         tell(Kind.WRITTEN, f"written: {page} with tables, plots and structures in its folder")
     if not any(solution.is_usable for solution in comparison.solutions):
-        raise SystemExit(options.fail(f"{source}: no method gave a usable structure; {page} says why"))
+        raise SystemExit(options.fail(f"{source}: no method returned a usable structure. See {page}"))
     statuses = [str(solution.status) for solution in comparison.solutions]
     raise typer.Exit(options.exit_status(statuses, interrupted=bool(missing)))
 

@@ -31,7 +31,7 @@ def energy(
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Page to write, residues coloured by any term; FILE.html.")
+        Path | None, typer.Option(help="Page of residues coloured by any term (FILE.html).")
     ] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
@@ -41,10 +41,10 @@ def energy(
     *,
     setup: Setup,
 ) -> None:
-    """Tell what the energy is made of: by term, by residue or by pair, of all or between two parts.
+    """Decompose the energy by term, by residue or by pair, in total or between two parts.
 
-    Structures are read as they are, with what they lack added; minimise or relax them first.
-    Of frames, a row for each goes to a CSV, by term.
+    Only missing atoms are added to structures. Minimise or relax them first.
+    For frames, write a CSV with the terms of each frame.
     """
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms

@@ -27,9 +27,9 @@ def ensemble(
     within: Annotated[
         float | None, typer.Option(help="Average distance in a cluster [default: 2 angstrom, or 30 degrees].")
     ] = None,
-    measure: Annotated[str, typer.Option(help="Atoms of the RMSD, a selection.")] = "name CA",
+    measure: Annotated[str, typer.Option(help="Selection of atoms for the RMSD.")] = "name CA",
     after: Annotated[
-        Path | None, typer.Option(help="The same frames after a run: fluctuations before and after.")
+        Path | None, typer.Option(help="Frames after a run, for fluctuations before and after.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Medoids, as models [default: NAME.medoids.pdb].")
@@ -40,7 +40,7 @@ def ensemble(
     *,
     setup: Setup,
 ) -> None:
-    """Cluster the frames of one structure, write the middle one of each, and tell how residues fluctuate."""
+    """Cluster the frames of one structure. Write medoids and fluctuations of residues."""
     from protochain.batches.ensembles import cluster_frames
     from protochain.structure import save
 

@@ -28,18 +28,18 @@ Trajectory = Annotated[
     Path | None,
     typer.Option(
         metavar="FRAMES",
-        help="Frames of IN, a row for each: XTC, TRR, DCD, NetCDF, NPZ, or a file of models.",
+        help="Frames of IN, with a row for each: XTC, TRR, DCD, NetCDF, NPZ, or a file of models.",
     ),
 ]
 Chosen = Annotated[
     str | None,
     typer.Option(
         "--frames", metavar="START:STOP:STEP",
-        help="Frames to take, from 0, or 0,2,5, or all; without --trajectory, of the models of IN.",
+        help="Selected frames, from 0, or 0,2,5, or all. Without --trajectory, models of IN.",
     ),
 ]  # fmt: skip
-Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default: all cores].")]
-Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
+Workers = Annotated[int | None, typer.Option(help="Processes for frames [default: all cores].")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run over frames.")]
 
 
 def are_requested(trajectory: Path | None, frames: str | None) -> bool:
@@ -50,7 +50,7 @@ def are_requested(trajectory: Path | None, frames: str | None) -> bool:
 def single_structure(inputs: Sequence[str | Path]) -> Path:
     """Structure of the frames. Raise unless there is exactly one."""
     if len(inputs) != 1 or not options.is_one_file(str(inputs[0])):
-        raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
+        raise ProtochainError("frames: give exactly one structure file before ", Argument("trajectory"))
     return Path(inputs[0])
 
 
@@ -69,10 +69,8 @@ def run_if_requested(
 ) -> None:
     """Run over frames if requested, and exit. Options ``excluded`` exclude frames, ``alone`` require them."""
     if not are_requested(trajectory, frames):
-        return options.refuse(
-            context, alone, "is of frames, of which there are none without ", Argument("trajectory")
-        )
-    options.refuse(context, excluded, "is none of frames")
+        return options.refuse(context, alone, "requires frames. Give ", Argument("trajectory"))
+    options.refuse(context, excluded, "does not apply to frames")
     source = single_structure(inputs)
     with started_early(setup, how["workers"]):
         frame_task = task()
@@ -107,7 +105,7 @@ def open_ensemble(
     from protochain.structure.molecule.repairs import Kind
 
     if trajectory is None and str(source) == "-":
-        raise ProtochainError("frames: standard input is read once; give a file")
+        raise ProtochainError("frames: give a file, as standard input is read only once")
     ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
     noted = [repair for repair in ensemble.structure.repairs if repair.kind is not Kind.MODELS_LEFT_OUT]
     options.print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
@@ -149,7 +147,7 @@ def run(
                 resume=resume, force=force, watch=watch,
             )  # fmt: skip
     if result.was_complete:
-        print(f"{result.csv}: is complete; nothing was left to do", file=sys.stderr)
+        print(f"{result.csv}: is complete, nothing to do", file=sys.stderr)
     if report:
         from protochain.batches.frame_report import write_report
 
@@ -165,7 +163,7 @@ def run(
     else:
         _print(result, report)
     if result.interrupted:
-        options.fail("interrupted; --resume does the rest")
+        options.fail("interrupted. Continue with --resume")
     usable = bool(result.counts.get("measured") or result.counts.get("converged") or result.written)
     statuses = Counter(result.counts).elements()
     return options.exit_status(statuses, usable=usable, interrupted=result.interrupted)
@@ -198,7 +196,7 @@ def _count_split_frames(result: "FramesRun") -> str:
         return ""
     return (
         f"{counted(many, 'frame')} with molecules up to {gap.max():.0f} angstrom apart that touch in the "
-        f"structure ({GAP}): if a box was cut off, make them whole and write the trajectory again"
+        f"structure ({GAP}). If they cross a periodic box, unwrap the trajectory first"
     )
 
 

@@ -18,10 +18,10 @@ from protochain.core.markup import counted
 def info(
     source: options.Input,
     energy: Annotated[
-        bool, typer.Option("--energy", help="Set up the default energy, too, and tell what computes it.")
+        bool, typer.Option("--energy", help="Build the default energy, too, and report its engine.")
     ] = False,
     device: Annotated[
-        bool, typer.Option("--device", help="Tell which GPUs there are, and what would compute the energy.")
+        bool, typer.Option("--device", help="List the GPUs, and the device for the energy.")
     ] = False,
     as_json: options.AsJson = False,
     *,
@@ -92,7 +92,7 @@ def build(
         str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="PDB or mmCIF file; - is standard output, in PDB format.")
+        Path, typer.Option("-o", "--output", help="PDB or mmCIF file. - is standard output, in PDB format.")
     ],
     as_json: options.AsJson = False,
 ) -> None:

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 Output = Annotated[
     Path | None,
     typer.Option(
-        "-o", "--output", help="PDB or mmCIF, .gz if wanted; - is standard output [default: NAME.METHOD.pdb]."
+        "-o", "--output", help="PDB or mmCIF, plain or .gz. - is standard output [default: NAME.METHOD.pdb]."
     ),
 ]
 Method = Annotated[
-    str, typer.Option(help="cartesian, hybrid, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
+    str, typer.Option(help="cartesian, hybrid, lbfgs, newton, kcm, openmm ... An unknown name lists all.")
 ]
-Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
+Angle = Annotated[float | None, typer.Option(help="Turn of hinges per step of kcm, rad [default: 0.0005].")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
 OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
@@ -72,7 +72,7 @@ def minimise(
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
     if starting.n_starts > 1:
-        reason = "belongs to one run, and there are several starts"
+        reason = "applies to a single start only"
         options.refuse(context, "checkpoint resume trajectory", reason)
     extras = {"report": report, "ligands": ligand_out, "trace": trace}
     stem, suffix = options.named_after(source)
@@ -82,7 +82,7 @@ def minimise(
         check_trajectory(trajectory)
     if isinstance(setup.model, str):
         single = "timings trace trajectory checkpoint resume report ligand_out"
-        options.refuse(context, single, "belongs to one model, and there may be several")
+        options.refuse(context, single, "applies to a single model only")
     runs = _runs(source, output, setup, one_file)
     frames = [trajectory, part_of(trajectory)] if trajectory else []
     outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *extras.values()]
@@ -130,13 +130,13 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
         if one_file:
             raise ProtochainError(
                 Argument("one_file"),
-                ": joins several models; give --model all, or a range such as --model 1-5",
+                " requires several models, as by --model all or --model 1-5",
             )
         return [(setup, output)]
     if str(source) == "-":
-        raise ProtochainError(Argument("model"), f" {setup.model}: needs a file; standard input is read once")
+        raise ProtochainError(Argument("model"), f" {setup.model} requires a file, not standard input")
     if str(output) == options.STANDARD_OUTPUT and not one_file:
-        raise ProtochainError("output -: several models are several files; give --one-file to join them")
+        raise ProtochainError("output -: give --one-file for several models")
     numbers = tuple(model_numbers(source))
     models = numbers if setup.model == ALL_MODELS else parse_models(setup.model)
     refuse_absent(str(source), numbers, models)

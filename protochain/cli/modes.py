@@ -39,22 +39,22 @@ def modes(
     output: Output = None,
     modes: Annotated[int, typer.Option(help="Number of modes, the lowest first.")] = 20,
     to: Annotated[
-        Path | None, typer.Option(help="Structure to which the change is compared with the modes.")
+        Path | None, typer.Option(help="Structure whose difference is compared with the modes.")
     ] = None,
     method: Annotated[
         str, typer.Option(help="auto, dense (the whole Hessian, and the entropy) or products.")
     ] = "auto",
     temperature: Annotated[float, typer.Option(help="Temperature of fluctuations and entropy, K.")] = 300.0,
-    amplitude: Annotated[float, typer.Option(help="Of swings: RMSD of the C-alphas, angstrom.")] = 1.0,
-    trajectory: Annotated[str, typer.Option(help="Format of swings: dcd or xtc.")] = defaults.TRAJECTORY,
-    relax: Annotated[bool, typer.Option(help="Minimise first, if it is no minimum.")] = True,
+    amplitude: Annotated[float, typer.Option(help="C-alpha RMSD along each mode, angstrom.")] = 1.0,
+    trajectory: Annotated[str, typer.Option(help="Trajectory format: dcd or xtc.")] = defaults.TRAJECTORY,
+    relax: Annotated[bool, typer.Option(help="Minimise first, unless at a minimum.")] = True,
     as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
-    """Find the normal modes of a structure in torsions; write tables, swings and a page.
+    """Compute the normal modes of a structure in torsions. Write tables, trajectories and a page.
 
-    It is minimised first, by turning hinges, if torques are left; --no-relax omits this.
+    The structure is minimised in torsions first if torques remain. --no-relax omits this.
     """
     from protochain.comparison.modes import checked_amplitude, checked_temperature
     from protochain.comparison.modes_folder import files_of, write_modes

@@ -51,13 +51,13 @@ def mutate(
         typer.Option("-o", "--output", help="Mutant, or CSV of a scan [default: NAME.mutant.pdb, .csv]."),
     ] = None,
     scan: Annotated[
-        str | None, typer.Option(metavar="A:1-50", help="In place of mutations: each residue by itself.")
+        str | None, typer.Option(metavar="A:1-50", help="Residues to mutate one at a time.")
     ] = None,
-    into: Annotated[str, typer.Option(metavar="A|AVL|all", help="Of a scan: what each becomes.")] = "A",
+    into: Annotated[str, typer.Option(metavar="A|AVL|all", help="New residues of a scan.")] = "A",
     report: options.Report = None,
     workers: Workers = None,
     scheduler: options.Scheduler = None,
-    time_limit: Annotated[float, typer.Option(help="Of a scan: seconds of a site.")] = defaults.TIME_LIMIT,
+    time_limit: Annotated[float, typer.Option(help="Seconds for each site of a scan.")] = defaults.TIME_LIMIT,
     resume: Resume = False,
     as_json: options.AsJson = False,
     force: options.Force = False,
@@ -65,10 +65,10 @@ def mutate(
     relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
-    """Put residues in place of others, and report the change of energy.
+    """Mutate residues and report the energy change.
 
-    Side chains within 10 angstrom are rebuilt on rotamers and relaxed, in the structure itself too. The
-    backbone stays. With --scan each residue is mutated by itself: a table, and a page with a heat map.
+    Side chains within 10 angstrom are rebuilt on rotamers and relaxed, also in the wild type. The backbone
+    is fixed. With --scan, residues are mutated one at a time, for a table and a page with a heat map.
     """
     from protochain.relaxation.mutations import PROTOCOL, mutate_at, places_of
 
@@ -82,7 +82,7 @@ def mutate(
                   resume=resume, as_json=as_json, force=force)
         )  # fmt: skip
     assert mutations is not None
-    options.refuse(context, "into workers scheduler time_limit resume report", "is of a scan")
+    options.refuse(context, "into workers scheduler time_limit resume report", "applies to scans only")
     stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.mutant{suffix}")
     options.check_names(output, None, None, as_json)
@@ -96,7 +96,7 @@ def mutate(
     mutation = mutate_at(structure, names, relaxing, setup, {})
 
     if not mutation.mutant.is_usable:
-        raise SystemExit(options.fail(f"{source}: {mutation.mutant.message}; nothing is written"))
+        raise SystemExit(options.fail(f"{source}: {mutation.mutant.message}, so that nothing is written"))
     options.write_models([mutation.structure], output, suffix, mutation.mutant.provenance())
     if as_json:
         options.print_json(mutation.record() | origin)
@@ -163,5 +163,5 @@ def _scan(
         tell(Kind.RESULT, _MEANING)
         options.print_files(table, report)
     if interrupted:
-        return options.fail("interrupted; --resume does the rest", options.INTERRUPTED)
+        return options.fail("interrupted. Continue with --resume", options.INTERRUPTED)
     return options.exit_status(row["status"] for row in rows)

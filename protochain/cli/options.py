@@ -43,26 +43,26 @@ _SHOWN_OVERLAPS = 5
 """Overlaps reported before a run. ``info`` lists all."""
 
 Input = Annotated[
-    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
+    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, plain or compressed. - is standard input.")
 ]
 Inputs = Annotated[
-    list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
+    list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns. - is standard input.")
 ]
 Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
-Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+Report = Annotated[Path | None, typer.Option(help="Page with tables, plots and 3-D view (FILE.html).")]
 Timings = Annotated[
-    bool, typer.Option("--timings", help="Print seconds by part, and the share of the loop that is serial.")
+    bool, typer.Option("--timings", help="Print seconds by part, and the serial share of the loop.")
 ]
 FigureFile = Annotated[
-    Path | None, typer.Option("--figure", metavar="FILE", help="Figure for a paper; FILE.svg, .pdf or .png.")
+    Path | None, typer.Option("--figure", metavar="FILE", help="Figure for a paper (FILE.svg, .pdf or .png).")
 ]
 LigandOut = Annotated[
     Path | None,
     typer.Option(
-        help="SDF of the poses that were added (--ligand POSE), or, without one or with --keep all, of all "
-        "ligands whose chemistry is known, a record for each."
+        help="SDF of the added poses (--ligand POSE), or, without poses or with --keep all, of all ligands "
+        "of known chemistry."
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
@@ -136,7 +136,7 @@ def _build_settings(kind: type[Made], options: Mapping[str, Any]) -> Made | None
     for name, value in arguments.items():
         if value != usual[name]:
             option, requirement = (setting_of[key].names(key)[0] for key in (name, needed[0]))
-            raise ProtochainError(f"{option}: needs {requirement}; give it too, or leave this out")
+            raise ProtochainError(f"{option} requires {requirement}")
     return None
 
 
@@ -145,7 +145,7 @@ def refuse(context: typer.Context, names: str, *reason: object) -> None:
     for name in names.split():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise ProtochainError(Argument(name), ": ", *reason, "; leave it out")
+            raise ProtochainError(Argument(name), " ", *reason)
 
 
 def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bool = False) -> int:
@@ -178,7 +178,7 @@ def end_folder(
     else:
         show()
     if interrupted:
-        fail("interrupted; --resume does the rest")
+        fail("interrupted. Continue with --resume")
     raise typer.Exit(status)
 
 
@@ -235,7 +235,7 @@ def describe_move(structure: "Structure", move: str, chain: "Chain | None" = Non
         return [f"{_count_atoms(structure, free)} move, {others_fixed}"]
     hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
     turned = f"{hinges}, which moves {_count_atoms(structure, turned_atoms(chain))}"
-    return [f"{turned}; where all atoms move, {_count_atoms(structure, free)} do, and {others_fixed}"]
+    return [f"{turned}, or {_count_atoms(structure, free)} if all atoms move, and {others_fixed}"]
 
 
 def _count_atoms(structure: "Structure", atoms: Any) -> str:
@@ -361,16 +361,16 @@ def check_outputs(
     outputs = [Path(path) for path in writes if path and str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
-            raise ProtochainError(f"{output}: is given for two outputs; give each its own")
+            raise ProtochainError(f"{output}: is given for two outputs. Give each a separate name")
     for output in outputs:
         same = output.exists() and any(path.exists() and output.samefile(path) for path in inputs)
         if same and not force:
             instead = "" if force is None else ", or --force to replace it"
-            raise ProtochainError(f"{output}: is the input; give another name{instead}")
+            raise ProtochainError(f"{output}: is the input. Give another name{instead}")
         check_writable(output)
     if existing := [str(output) for output in outputs if replaces and output.is_file()]:
         further = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
-        tell(Kind.CHANGE, f"{existing[0]}{further}: there already, will be replaced")
+        tell(Kind.CHANGE, f"{existing[0]}{further}: will be replaced")
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
@@ -381,7 +381,7 @@ def check_names(output: Path, report: Path | None, ligands: Path | None, as_json
     if str(output) != STANDARD_OUTPUT:
         check_format(output)
     elif as_json:
-        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
+        raise ProtochainError("output -: structure and --json both go to standard output. Give a file")
     check_page(report)
     if ligands:
         check_ligand_file(ligands)
@@ -432,7 +432,7 @@ def write_outputs(
     from protochain.structure.formats.confidences import copy_confidences
 
     if not result.is_usable:
-        reason = f"{entries['input']}: {result.message}; nothing is better than the start: nothing is written"
+        reason = f"{entries['input']}: {result.message}. No file is written, as the start was not improved"
         raise SystemExit(fail(reason))
     write()
     with part("measuring"):
@@ -453,7 +453,7 @@ def write_outputs(
         record.setdefault("not_written", []).append(str(error))
     record["timings"] = until_now()
     for line in record.get("not_written", ()):
-        fail(f"{line}; saved: {record['output']}")
+        fail(f"{line}. Saved: {record['output']}")
     return record
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Inputs = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="IN...", help="PDB or mmCIF files, packed or not, folders, patterns; - is standard input."
+        metavar="IN...", help="PDB or mmCIF files, also compressed, folders, patterns. - is standard input."
     ),
 ]
 Output = Annotated[
@@ -34,17 +34,15 @@ Output = Annotated[
     typer.Option(
         "-o",
         "--output",
-        help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed].",
+        help="File, or folder for several inputs [default: NAME.relaxed.pdb, or the folder relaxed].",
     ),
 ]
 Workers = Annotated[
-    int | None, typer.Option(help="Of several, or of frames: processes [default: all cores].")
+    int | None, typer.Option(help="Processes for several inputs or frames [default: all cores].")
 ]
-TimeLimit = Annotated[
-    float, typer.Option(help="Of several, or of frames: seconds after which one is given up.")
-]
+TimeLimit = Annotated[float, typer.Option(help="Seconds for each of several inputs or frames.")]
 Resume = Annotated[
-    bool, typer.Option("--resume", help="Of several, or of frames: continue where a run was stopped.")
+    bool, typer.Option("--resume", help="Continue an interrupted run of several inputs or frames.")
 ]
 
 
@@ -66,24 +64,24 @@ def relax(
     timings: options.Timings = False,
     as_json: options.AsJson = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Allow an output to replace the input, or what is in the folder.")
+        bool, typer.Option("--force", help="Allow an output to replace the input, or files in the folder.")
     ] = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
-    """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
+    """Remove overlaps and broken bonds from predicted models without changing the fold.
 
-    Several files, a folder, a pattern, a manifest or one file with several poses (--ligand POSES) go to a
-    folder, with the table relaxed.csv; so does what a cluster does. With --trajectory, or --frames of a file
-    with models, every frame is relaxed, into one trajectory and a table.
+    Several files, a folder, a pattern, a manifest, one file with several poses (--ligand POSES), or a run on
+    a cluster write a folder with the table relaxed.csv. With --trajectory, or --frames of a file with models,
+    every frame is relaxed into one trajectory and a table.
     """
     setup = relaxing.setup(setup)
     several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_requested(trajectory, frames):
         if several:
             exclusive = Argument("manifest"), ", ", Argument("model"), " all or poses"
-            options.refuse(context, "trajectory frames", "is of one structure, not of ", *exclusive)
+            options.refuse(context, "trajectory frames", "applies to one structure, not to ", *exclusive)
         if output is None:
             output = _output_of_frames(trajectory or of_frames.single_structure(inputs or []))
         of_frames.run_if_requested(
@@ -93,13 +91,13 @@ def relax(
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
     if inputs and len(inputs) == 1 and options.is_one_file(inputs[0]) and not (several or scheduler):
-        options.refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
+        options.refuse(context, "workers time_limit resume", f"requires several inputs, not {inputs[0]}")
         shown = report, ligand_out, timings, as_json
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
-    options.refuse(context, "report", "several structures have report.html in their folder")
-    options.refuse(context, "timings", "is of one structure, and there are several")
+    options.refuse(context, "report", "applies to one structure. Several have report.html in their folder")
+    options.refuse(context, "timings", "applies to one structure only")
     if ligand_out and not setup.poses:
-        raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
+        raise ProtochainError(Argument("ligand_out"), " of several structures requires --ligand POSES")
     from protochain.batches.cluster import Processes
 
     extra_outputs = [ligand_out] if ligand_out else []
@@ -195,7 +193,7 @@ def _report_trajectories(inputs: list[str]) -> None:
             models = [candidate for candidate in path.parent.iterdir() if format_of(candidate)]
             of = str(models[0]) if len(models) == 1 else "TOPOLOGY"
             command = shlex.join(["protochain", "relax", of, "--trajectory", str(path)])
-            print(f"{path}: is left out; to relax its frames: {command}", file=sys.stderr)
+            print(f"{path}: is skipped. To relax its frames: {command}", file=sys.stderr)
 
 
 def _several(
@@ -214,7 +212,7 @@ def _several(
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or format_of(folder):
-        raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
+        raise ProtochainError(f"{folder}: several structures require an output folder")
     for path in extras:
         check_ligand_file(path)
     options.check_outputs([manifest], [*replaceable_files(folder, RELAXED, resume, force), *extras], setup)

@@ -56,7 +56,7 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
     stated = [
         *describe_move(structure, move),
         f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
-        + (f", {n_hetero} of them with molecules kept with the protein" if n_hetero else ""),
+        + (f", {n_hetero} of them with hetero molecules" if n_hetero else ""),
         str(at.violations),
         *rings,
         *inverted_line,
@@ -118,7 +118,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
     details = []
     if record["repacked"]:
-        noted = summarise(result.turned) or ("no side chain is better turned",)
+        noted = summarise(result.turned) or ("no side chain improves",)
         details.append(f"repacked first: {'; '.join(noted)}")
     if turned := (*result.stereocentres_corrected, *result.peptides_turned):
         details.append("; ".join(summarise(turned)))
@@ -157,7 +157,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             for row in near.head(_SHOWN).itertuples()
         ]
         ending = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
-        text = "structures overlapped with molecules kept with the protein"
+        text = "structures overlapped with hetero molecules"
         tell(Kind.RESULT, f"{len(near)} of {len(table)} {text}: {', '.join(noted)}{ending}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():

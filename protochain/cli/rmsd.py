@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 def rmsd(
     context: typer.Context,
     reference: Annotated[
-        Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file; - is standard input.")
+        Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file. - is standard input.")
     ],
     models: Annotated[
-        list[Path], typer.Argument(metavar="IN...", help="Files, with all their models; - is standard input.")
+        list[Path], typer.Argument(metavar="IN...", help="Files, with all their models. - is standard input.")
     ],
     align: Annotated[
         str, typer.Option(help="Atoms to superpose, in MDAnalysis's selection language.")
     ] = "name CA",
     measure: Annotated[
-        str | None, typer.Option(help="Atoms for the RMSD [default: those superposed].")
+        str | None, typer.Option(help="Atoms for the RMSD [default: the superposed atoms].")
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     trajectory: Trajectory = None,
@@ -39,7 +39,7 @@ def rmsd(
 ) -> None:
     """Measure deviations of models from a reference: RMSD, TM-score and matched residues.
 
-    Files of C-alpha atoms only are measured too. Of frames of one file, a row for each goes to a CSV.
+    Files may have only C-alpha atoms. For frames of one file, write a CSV with a row for each frame.
     """
     from protochain.comparison.deviation import rmsd_table
 

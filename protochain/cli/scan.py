@@ -17,7 +17,7 @@ def scan(
     source: options.Input,
     grids: Annotated[
         list[str],
-        typer.Argument(metavar="'phi A:3=-180:180:10'...", help="Hinges, and first, last and step, degrees."),
+        typer.Argument(metavar="'phi A:3=-180:180:10'...", help="Hinges with first, last and step, degrees."),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV to write [default: NAME.scan.csv].")
@@ -28,7 +28,7 @@ def scan(
     *,
     setup: Setup,
 ) -> None:
-    """Compute the energy against dihedrals; write a table, and a page with a curve or a Ramachandran map."""
+    """Compute the energy against dihedrals. Write a table, and a page with a curve or a Ramachandran map."""
     from protochain.comparison.dihedral_scan import ENERGY, energy_map
     from protochain.comparison.dihedral_scan import scan as run
     from protochain.core.storage import write_atomically

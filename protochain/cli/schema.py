@@ -16,12 +16,12 @@ _VERSIONS = "schemas.txt"
 
 def schema(
     command: Annotated[
-        str | None, typer.Argument(metavar="[COMMAND]", help="A command; none lists them.")
+        str | None, typer.Argument(metavar="[COMMAND]", help="Command. Without one, list all.")
     ] = None,
 ) -> None:
-    """Show the JSON Schema of what a command prints with --json, and of its tables and its folder.
+    """Show the JSON Schema of the --json output, the tables and the folder of a command.
 
-    Each has a version of its own, and changes only with it.
+    Each schema has a version, and changes only with it.
     """
     from protochain.cli.contracts import CONTRACTS
     from protochain.core.checks import refuse_unknown

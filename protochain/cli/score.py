@@ -39,7 +39,7 @@ def score(
         list[str] | None,
         typer.Option(
             metavar="A,B:C",
-            help="Its two sides, chains or selections; repeat for more [default: all chains in contact].",
+            help="Two sides, as chains or selections. Repeat for more [default: all chains in contact].",
         ),
     ] = None,
     rank: Annotated[
@@ -50,16 +50,16 @@ def score(
         Path | None, typer.Option(help="CSV to write: a row for each residue of each interface.")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Page: the table, and residues coloured by their share; FILE.html.")
+        Path | None, typer.Option(help="Page of the table, and residues coloured by their share (FILE.html).")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Of several files: processes [default: all cores].")
+        int | None, typer.Option(help="Processes for several files [default: all cores].")
     ] = None,
     relax: Annotated[
-        bool, typer.Option("--relax", help="Relax each first, as protochain relax does.")
+        bool, typer.Option("--relax", help="Relax each complex first, like protochain relax.")
     ] = False,
     reference: Annotated[
-        Path | None, typer.Option(help="Complex with these sides, as designed: RMSD of either from it.")
+        Path | None, typer.Option(help="Complex with these sides, such as a design, for RMSDs of sides.")
     ] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
@@ -68,10 +68,10 @@ def score(
     *,
     setup: Setup,
 ) -> None:
-    """Score the interfaces of complexes: energy, area, bonds, fit of the surfaces, clashes, confidence.
+    """Score the interfaces of complexes: energy, area, bonds, shape complementarity, clashes, confidence.
 
-    Complexes are read as they are, with what they lack added; relax them first, or with --relax. Of frames
-    of one complex, a row for each goes to a CSV.
+    Only missing atoms are added to complexes. Relax them first, or with --relax. For frames of one complex,
+    write a CSV with a row for each frame.
     """
     from protochain.batches.cluster import Processes
     from protochain.chains.contacts import overlapping
@@ -101,7 +101,7 @@ def score(
     # Another process cannot read the standard input of this one.
     alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
     if alone:
-        options.refuse(context, "workers", "is of several files, none of them standard input")
+        options.refuse(context, "workers", "applies to several files, none of them standard input")
     processes = None if alone else Processes(workers, threads=setup.threads or 1)
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
@@ -121,8 +121,8 @@ def score(
     crowded: list[str] = []
     for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
-            problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
-            crowded.append(f"{structure.name}: {problem}; relax first, with --relax")
+            problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless"
+            crowded.append(f"{structure.name}: {problem}. Relax first, with --relax")
     warn(crowded)
     of_residues = [scores.residues.assign(file=row["file"], interface=scores.name) for row, scores in usable]
     if report:

@@ -21,7 +21,7 @@ Source = Annotated[
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-search].")
 ]
-Workers = Annotated[int | None, typer.Option(help="Processes of one thread [default: all cores].")]
+Workers = Annotated[int | None, typer.Option(help="Processes, with one thread each [default: all cores].")]
 
 
 @options.with_settings(setup="threads root")
@@ -45,9 +45,9 @@ def search(
     title = str(source) if is_sequence(source) else options.named_after(source)[0]
     output = output or Path(f"{title}-search")
     if searching.method == "csa":
-        options.refuse(context, "temperatures", "csa has none")
+        options.refuse(context, "temperatures", "does not apply to csa")
     if searching.method != "tempering":
-        options.refuse(context, "n_replicas pilot", "is of tempering")
+        options.refuse(context, "n_replicas pilot", "applies to tempering only")
     check_folder(output, running.resume, running.force)
     context.with_resource(claim_folder(output, "search", running.resume))
     setup = replace(setup, threads=1)
@@ -57,7 +57,7 @@ def search(
                 options.refuse(
                     context,
                     f"{name} {setting.word[0] if setting.word else ''}",
-                    "is of files; this is a sequence",
+                    "applies to files, but the input is a sequence",
                 )
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)

@@ -27,7 +27,7 @@ _RELAXED = 10.0
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
 ]
-Relax = Annotated[bool, typer.Option(help="Minimise first, by turning hinges.")]
+Relax = Annotated[bool, typer.Option(help="Minimise first, in torsions.")]
 
 
 @with_detail
@@ -44,9 +44,9 @@ def simulate(
     pulling: Pull,
     setup: Setup,
 ) -> None:
-    """Simulate one structure as rigid bodies; write trajectory, log, checkpoints and the last frame.
+    """Simulate one structure as rigid bodies. Write trajectory, log, checkpoints and the last frame.
 
-    Unlike pc.simulate it minimises first, since structures in files are strained; --no-relax omits this.
+    Unlike pc.simulate, it minimises first, as structures in files are strained. --no-relax omits this.
     """
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder, files_of
@@ -55,9 +55,9 @@ def simulate(
 
     simulation, thermostat = replace(simulation, pull=pulling), THERMOSTATS[simulation.thermostat]
     if not thermostat.metropolis:
-        options.refuse(context, "trajectory_length", "is of hmc")
+        options.refuse(context, "trajectory_length", "applies to thermostat hmc only")
     if not hasattr(thermostat, "friction"):
-        options.refuse(context, "friction", f"thermostat {simulation.thermostat} has none")
+        options.refuse(context, "friction", f"does not apply to thermostat {simulation.thermostat}")
     output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
     options.check_outputs([source], [] if running.resume else files_of(output, running.trajectory), setup)
@@ -91,8 +91,8 @@ def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
     elif result.is_sound:
         print_simulation(record)
     if not result.is_sound:
-        where = f"the frames until then are in {origin['output']}/*.part.*"
-        raise SystemExit(options.fail(f"{origin['input']}: {result.message}; {where}"))
+        where = f"Earlier frames are in {origin['output']}/*.part.*"
+        raise SystemExit(options.fail(f"{origin['input']}: {result.message}. {where}"))
     raise typer.Exit(options.CONVERGED if result.ending == "completed" else options.INTERRUPTED)
 
 
@@ -100,6 +100,6 @@ def _minimise(source: Path, chain: "Chain", energy: "Energy", simulation: Simula
     """Minimise in torsions, report the changes, and return the coordinates."""
     relaxed, stated = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
     # Without loop constraints. The force field closes the loops, and their strain is minimised, too.
-    note = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
+    note = ", then loops are constrained" if simulation.loops == "closed" else ""
     tell(Kind.PROGRESS, f"{stated}{note}")
     return relaxed.q

@@ -44,7 +44,7 @@ def validate(
         Path | None, typer.Option(help="CSV to write: a row for each residue of each structure.")
     ] = None,
     posebusters: Annotated[
-        bool, typer.Option("--posebusters", help="Run PoseBusters' tests on ligands; seconds for each.")
+        bool, typer.Option("--posebusters", help="Run PoseBusters' tests on ligands, in seconds for each.")
     ] = False,
     changes: Annotated[
         Path | None,
@@ -54,15 +54,15 @@ def validate(
     frames: Chosen = None,
     workers: Workers = None,
     resume: Resume = False,
-    report: Annotated[Path | None, typer.Option(help="Of frames: page of distributions, FILE.html.")] = None,
+    report: Annotated[Path | None, typer.Option(help="For frames: distributions, FILE.html.")] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
 ) -> None:
-    """Say what is wrong with structures: violations, clashes, outliers, cis and twisted peptide bonds.
+    """Report errors and outliers in structures: violations, clashes, cis and twisted peptide bonds.
 
-    Heavy atoms are measured where the file has them; those that are missing, and hydrogens, are added first.
-    Of frames of one file, a row for each goes to --csv.
+    Heavy atoms of the file are measured. Missing heavy atoms and hydrogens are added first.
+    For frames of one file, write a row for each frame to --csv.
     """
     from protochain.structure.matching import measurable
 
@@ -79,7 +79,7 @@ def validate(
     files = files_of(inputs, setup)
     check_outputs([reference, *(path for _, path, _ in files)], [csv, residues, changes], setup)
     if changes and not reference:
-        raise ProtochainError(f"changes {changes}: changes are from a reference; give one")
+        raise ProtochainError("--changes requires --reference")
     compared = measurable(reference) if reference else None
     rows: Rows = []
     notes: dict[str, list[str]] = {}

@@ -111,10 +111,10 @@ def test_what_is_done_is_written_when_a_later_model_cannot_be_used(protochain, t
     ("arguments", "said"),
     [
         (["--model", "2-4"], "has no model 4; its models are 2, 3, 7"),
-        (["--model", "2-3", "--trace", "t.csv"], "belongs to one model"),
-        (["--model", "2-3", "--report", "r.html"], "belongs to one model"),
-        (["--one-file"], "one-file: joins several models; give --model all"),
-        (["--model", "3", "--one-file"], "one-file: joins several models; give --model all"),
+        (["--model", "2-3", "--trace", "t.csv"], "applies to a single model only"),
+        (["--model", "2-3", "--report", "r.html"], "applies to a single model only"),
+        (["--one-file"], "one-file requires several models, as by --model all"),
+        (["--model", "3", "--one-file"], "one-file requires several models, as by --model all"),
         (["-o", "-", "--json"], "both go to standard output"),
         (["-o", "-", "--model", "all"], "give --one-file"),
         (["-o", "x.html", "--report", "x.html"], "unknown suffix '.html'"),
@@ -170,7 +170,7 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
     for name, own in (("held", {"restraint": "1e5"}), ("many", {"n_starts": 3, "spread": np.radians(30)})):
         jobs = find_jobs([path], settings.changed(**own))
         tables = Tables(tmp_path / name, resume=False)
-        tables.finished(jobs)
+        tables.select_finished(jobs)
         tables.append(Task(jobs[0], tmp_path / name).run(1))
         tables.close()
         rows[name] = tables.read().iloc[0]

@@ -68,7 +68,7 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
         run("simulate", "a.pdb", "--no-relax")
     told = capsys.readouterr()
     assert ended.value.code == 1 and told.out == ""
-    assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
+    assert told.err == "protochain: a.pdb: why. Earlier frames are in a-simulation/*.part.*\n"
 
 
 class Batch(SimpleNamespace):
@@ -137,4 +137,4 @@ def test_a_batch_ends_by_its_results_and_says_if_it_was_interrupted(
     table = pd.DataFrame({"status": list(rows), "output": list(rows.values())})
     batched.done = Batch(table=table, report="page", interrupted=interrupted)
     assert run("batch", "a") == status
-    assert capsys.readouterr().err == "protochain: interrupted; --resume does the rest\n" * interrupted
+    assert capsys.readouterr().err == "protochain: interrupted. Continue with --resume\n" * interrupted

@@ -125,7 +125,7 @@ def test_all_models_have_outputs_of_their_own(ends, status, asked, tmp_path, mon
         == [*map(int, done)]
     )
     said = refusal("minimise", "-", "--model", "all")
-    assert said.startswith("model all: needs a file") and "one model" in refusal(
+    assert said.startswith("model all requires a file") and "single model" in refusal(
         "minimise", "a", "--model", "all", "--resume", "c"
     )
 

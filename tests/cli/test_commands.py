@@ -123,9 +123,9 @@ def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
     check([source], [other], force=False)
     (tmp_path / "link.pdb").symlink_to(source)
     for outputs, force, why in (
-        ([source], False, f"{source}: is the input; give another name, or --force to replace it"),
-        ([tmp_path / "link.pdb"], None, f"{tmp_path}/link.pdb: is the input; give another name"),
-        ([other, other], True, f"{other}: is given for two outputs; give each its own"),
+        ([source], False, f"{source}: is the input. Give another name, or --force to replace it"),
+        ([tmp_path / "link.pdb"], None, f"{tmp_path}/link.pdb: is the input. Give another name"),
+        ([other, other], True, f"{other}: is given for two outputs. Give each a separate name"),
         ([source / "x"], True, f"{source}/x: in.pdb is not a folder; give another name"),
     ):
         with pytest.raises(ProtochainError) as refused:

@@ -165,7 +165,7 @@ def test_an_untouched_start_is_not_written(tmp_path):
     done = protochain(
         "minimise", STRUCTURES / "1l2y.pdb", "--max-evaluations", 1, "-o", "out.pdb", cwd=tmp_path
     )
-    assert done.returncode == 1 and "nothing is written" in done.stderr
+    assert done.returncode == 1 and "No file is written" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 

@@ -92,7 +92,7 @@ def test_a_trajectory_that_fills_the_disk_does_not_cost_the_result(suffix, tmp_p
         )
     said = capsys.readouterr()
     assert status == 3 and json.loads(said.out)["status"] == "converged"
-    assert f"t.{suffix}: not written (" in said.err and "saved: out.pdb" in said.err
+    assert f"t.{suffix}: not written (" in said.err and "Saved: out.pdb" in said.err
     assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
 
 
@@ -257,7 +257,7 @@ def test_a_trajectory_stays_only_beside_a_result(evaluations, tmp_path, monkeypa
     status = run(monkeypatch, "minimise", SAMPLE, "-o", "o.pdb", "--trajectory", "t.dcd", "--force",
                  "--method", "lbfgs", "--max-evaluations", evaluations)  # fmt: skip
     if evaluations == 1:
-        assert status == 1 and "nothing is written" in capsys.readouterr().err
+        assert status == 1 and "No file is written" in capsys.readouterr().err
         assert frames.read_text() == "old"
     else:
         assert status in (0, 3) and frames.stat().st_size > 1000

@@ -86,7 +86,7 @@ def test_a_folder_says_it_in_its_last_lines_its_table_its_summary_and_its_pages(
     )
     jobs = find_jobs([modified.parent], settings, None, folder)
     tables = Tables(folder, False, "relaxed", {"relax"})
-    tables.finished(jobs)
+    tables.select_finished(jobs)
     for job in jobs:
         tables.append(list(Task(job, folder).run(1)))
     _finish(tables, jobs)
