@@ -9,7 +9,7 @@ from fixtures.quadratics import Flat, positive
 
 import protochain as pc
 from protochain.core.checkpoints import checkpoint, write_checkpoint
-from protochain.minimisers.checkpoint import _plain, load_checkpoint, save_checkpoint
+from protochain.minimisers.checkpoint import _to_plain, load_checkpoint, save_checkpoint
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Snapshot, Unstarted
@@ -71,7 +71,7 @@ def test_a_waypoint_is_read_as_it_was_written(tmp_path):
 def test_an_array_that_is_in_two_places_is_written_once():
     step = np.arange(3.0)
     arrays = {}
-    tree = _plain((step, np.ones(2), step), arrays, {})
+    tree = _to_plain((step, np.ones(2), step), arrays, {})
     assert tree == [{"array": "a0"}, {"array": "a1"}, {"array": "a0"}]
     assert list(arrays) == ["a0", "a1"] and arrays["a0"] is step
 
