@@ -72,10 +72,10 @@ class Friction:
                 raise MechanicsError(f"the {name} of friction must be finite and not negative")
 
 
-def _check_numbers(of: Law | Friction, label: str) -> None:
+def _check_numbers(law: Law | Friction, label: str) -> None:
     """Make numbers of the fields."""
-    for column in fields(of):
-        object.__setattr__(of, column.name, number(getattr(of, column.name), f"the {column.name} {label}"))
+    for column in fields(law):
+        object.__setattr__(law, column.name, number(getattr(law, column.name), f"the {column.name} {label}"))
 
 
 def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:

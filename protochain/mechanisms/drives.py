@@ -65,11 +65,11 @@ def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None
     rounded = (1e-12 * np.abs(at[:2]) + 1e-13 * tree.units[tree.driven_v]) / nudge
     allowed = 0.01 * np.maximum(np.abs(change), np.abs(at[1:])) + rounded
     if np.any(np.abs(change - at[1:]) > allowed):
-        of, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
+        row, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
         driven = [hinge for hinge, b in bodies.hinges.items() if tree.v_start[b] in tree.driven_v]
         name = sorted(driven, key=bodies.hinge)[k]
-        noun, rate = ("coordinate", "rate") if of == 0 else ("rate", "acceleration")
+        noun, rate = ("coordinate", "rate") if row == 0 else ("rate", "acceleration")
         raise MechanicsError(
-            f'drive of hinge "{name}": at time {time:g} its {noun} changes by {change[of, k]:g} per time, '
-            f"but its {rate} is {at[of + 1, k]:g}; give the derivative"
+            f'drive of hinge "{name}": at time {time:g} its {noun} changes by {change[row, k]:g} per time, '
+            f"but its {rate} is {at[row + 1, k]:g}; give the derivative"
         )

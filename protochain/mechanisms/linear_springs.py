@@ -18,13 +18,13 @@ STIFFNESS, REST, DAMPING = range(3)
 """Columns of ``constants``."""
 
 
-def constants(stiffness: float, damping: float, of: Named) -> dict[str, float]:
+def constants(stiffness: float, damping: float, element: Named) -> dict[str, float]:
     """Return stiffness and damping, of which one at least is above zero."""
-    k = float(not_negative(stiffness, f"{of.label}: its stiffness"))
-    c = float(not_negative(damping, f"{of.label}: its damping"))
+    k = float(not_negative(stiffness, f"{element.label}: its stiffness"))
+    c = float(not_negative(damping, f"{element.label}: its damping"))
     if k == c == 0.0:
         raise MechanicsError(
-            f"{of.label}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
+            f"{element.label}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
         )
     return {"stiffness": k, "damping": c}
 

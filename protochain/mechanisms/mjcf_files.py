@@ -245,8 +245,8 @@ class _Compiled:
         elif self.is_limited(j):
             self.reading.unused.setdefault("limits", name)
         if stiffness or damping:
-            of = np.repeat([1.0, 0.0 if ball else 1.0], 3)
-            self.into.bushing(f"{name}: spring", a, b, stiffness * of, damping * of, rotation)
+            per_axis = np.repeat([1.0, 0.0 if ball else 1.0], 3)
+            self.into.bushing(f"{name}: spring", a, b, stiffness * per_axis, damping * per_axis, rotation)
 
     def close_loop(self, i: int) -> None:
         """Close the loop of an equality constraint."""
@@ -278,7 +278,7 @@ class _Compiled:
             acts += [m.tendon_stiffness[t], self.values("tendon_stiffnesspoly", t)]
         if not self.is_off("DAMPER", "PASSIVE"):
             acts += [m.tendon_damping[t], self.values("tendon_dampingpoly", t)]
-            acts += [self.by_actuators(f"actuator_damping{of}", False, t) for of in ("", "poly")]
+            acts += [self.by_actuators(f"actuator_damping{ends}", False, t) for ends in ("", "poly")]
         if not self.is_off("FRICTIONLOSS", "CONSTRAINT"):
             acts.append(m.tendon_frictionloss[t])
         acts += [self.values("tendon_armature", t), self.by_actuators("actuator_armature", False, t)]

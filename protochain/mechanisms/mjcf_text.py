@@ -33,9 +33,9 @@ _SAME = 1e-12
 """Difference of directions and places that is rounding."""
 
 
-def mjcf(of: Any, path: str | Path | None) -> str:
+def mjcf(mechanism: Any, path: str | Path | None) -> str:
     """MJCF of a mechanism. See :meth:`Mechanism.to_mjcf`."""
-    root = _Writing(of).root
+    root = _Writing(mechanism).root
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     if path is not None:
@@ -55,16 +55,16 @@ class _Placed(NamedTuple):
 class _Writing:
     """A mechanism on its way into MJCF."""
 
-    def __init__(self, of: Any) -> None:
-        self.of, self.bodies, self.root = of, of.build().bodies, Element("mujoco")
+    def __init__(self, mechanism: Any) -> None:
+        self.of, self.bodies, self.root = mechanism, mechanism.build().bodies, Element("mujoco")
         SubElement(
             self.root, "compiler", angle="radian", autolimits="true", balanceinertia="false", eulerseq="XYZ"
         )
         SubElement(self.root, "option", gravity=_text(self.bodies.gravity), integrator="RK4")
         self.elements = {WORLD: SubElement(self.root, "worldbody")}
         self.joints: dict[str, Element] = {}  # Of hinges, and of free bodies, by name.
-        self.inward = {hinge.child: hinge for hinge in of.parts(Hinge)}
-        bodies = _merge_nominal({body.name: body for body in of.parts(Body)}, self.inward)
+        self.inward = {hinge.child: hinge for hinge in mechanism.parts(Hinge)}
+        bodies = _merge_nominal({body.name: body for body in mechanism.parts(Body)}, self.inward)
         carriers = self.carriers(bodies)
         for name in self.bodies.names:
             if name in bodies and name not in carriers:
@@ -91,10 +91,10 @@ class _Writing:
                         carriers.discard(part.hinge.child)
         return carriers
 
-    def is_ball(self, of: Between) -> bool:
+    def is_ball(self, element: Between) -> bool:
         """Whether an element is a bushing at a ball."""
-        hinge = self.inward.get(of.a[0]) if isinstance(of, Bushing) else None
-        return hinge is not None and hinge.kind == "ball" and hinge.parent == of.b[0]
+        hinge = self.inward.get(element.a[0]) if isinstance(element, Bushing) else None
+        return hinge is not None and hinge.kind == "ball" and hinge.parent == element.b[0]
 
     def chain(self, name: str, carriers: set[str]) -> list[_Placed]:
         """Hinges from the next body inward that has an element, at q = 0."""
@@ -171,18 +171,18 @@ class _Writing:
         rest_angle = rest_angle if of.stiffness else 0.0
         self.set_of(of.label, of.hinge, stiffness=of.stiffness, damping=of.damping, springref=rest_angle)
 
-    def write_friction(self, of: HingeFriction) -> None:
+    def write_friction(self, friction: HingeFriction) -> None:
         """Write a constant friction."""
-        if of.coefficient or of.damping:
+        if friction.coefficient or friction.damping:
             raise MechanicsError(
-                f"{of.label}: MJCF has constant friction only; give its damping to a torsion"
+                f"{friction.label}: MJCF has constant friction only; give its damping to a torsion"
             )
-        self.set_of(of.label, of.hinge, frictionloss=of.torque)
+        self.set_of(friction.label, friction.hinge, frictionloss=friction.torque)
 
-    def write_stop(self, of: Stop) -> None:
+    def write_stop(self, stop: Stop) -> None:
         """Write limits."""
-        limits = np.array([of.low, of.high]) * self.bodies.unit(of.hinge)
-        self.joints[of.hinge].set("range", _text(limits))
+        limits = np.array([stop.low, stop.high]) * self.bodies.unit(stop.hinge)
+        self.joints[stop.hinge].set("range", _text(limits))
 
     def write_site(self, name: str, body: str, at: Any, turn: Floats) -> str:
         """Write a point of a body, with axes as columns. Return its name."""
@@ -201,21 +201,21 @@ class _Writing:
         for end, (body, at) in zip("ab", ends, strict=True):
             SubElement(line, "site", site=self.write_site(f"{of.name}: {end}", body, at, np.eye(3)))
 
-    def write_closing(self, of: Closing) -> None:
+    def write_closing(self, joint: Closing) -> None:
         """Close a loop between sites: so it is as it is here, wherever MuJoCo's coordinates begin."""
-        if of.kind not in _LOOPS:
+        if joint.kind not in _LOOPS:
             raise MechanicsError(
-                f"{of.label}: MJCF closes loops by balls and welds, not as {of.kind}; give another"
+                f"{joint.label}: MJCF closes loops by balls and welds, not as {joint.kind}; give another"
             )
         turn = np.eye(3)
-        if of.kind == "rigid":
-            built = self.bodies.built.rotation(of.a[0]).T @ self.bodies.built.rotation(of.b[0])
-            turn = built if of.rotation is None else of.rotation
+        if joint.kind == "rigid":
+            built = self.bodies.built.rotation(joint.a[0]).T @ self.bodies.built.rotation(joint.b[0])
+            turn = built if joint.rotation is None else joint.rotation
         sites = {
-            f"site{k + 1}": self.write_site(f"{of.name}: {'ab'[k]}", *end, axes)
-            for k, (end, axes) in enumerate(((of.a, turn), (of.b, np.eye(3))))
+            f"site{k + 1}": self.write_site(f"{joint.name}: {'ab'[k]}", *end, axes)
+            for k, (end, axes) in enumerate(((joint.a, turn), (joint.b, np.eye(3))))
         }
-        SubElement(self.group("equality"), _LOOPS[of.kind], {"name": of.name, **sites})
+        SubElement(self.group("equality"), _LOOPS[joint.kind], {"name": joint.name, **sites})
 
     def write_bushing(self, of: Bushing) -> None:
         """Write spring and damper of a ball, or of a free body."""

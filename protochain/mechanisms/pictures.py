@@ -75,9 +75,9 @@ def movie(
     if path is not None and not (isinstance(path, str | Path) and str(path)):
         raise MechanicsError(f'path {shown(path)}: give the name of a file, as "motion.html"')
     n_frames = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
-    of = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], n_frames)), shapes)
+    picture = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], n_frames)), shapes)
     title = title or "Motion"
-    text = json.dumps(_data_of(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(_data_of(picture), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     source = (files("protochain.mechanisms") / "movie.html").read_text(encoding="utf-8")
     page = Template(source, autoescape=True).render(title=title, motion=text)
     if path is not None:
@@ -103,20 +103,20 @@ def strip(
         raise MechanicsError(f"times {shown(times)}: give those of the run, from {first:g} to {last:g}")
     if len(when) > _POSES:
         raise MechanicsError(f"{len(when)} poses do not fit side by side: give {_POSES} times at most")
-    of = drawing(run, _rows(run, when), shapes)
-    across = _across(of, along)
-    flat = np.array(np.meshgrid(*np.stack([of.low, of.high], axis=1))).reshape(3, -1).T @ across.T
+    picture = drawing(run, _rows(run, when), shapes)
+    across = _across(picture, along)
+    flat = np.array(np.meshgrid(*np.stack([picture.low, picture.high], axis=1))).reshape(3, -1).T @ across.T
     low, high = flat.min(axis=0), flat.max(axis=0)
-    margin = 0.05 * of.size
+    margin = 0.05 * picture.size
     width, height = high - low + 2.0 * margin
     tall = float(np.clip(2.2 * height / width, 1.2, 4.0))
     figure = Figure(figsize=(min(2.2 * len(when), 13.0), tall + 0.3), layout="constrained")
     for k, ax in enumerate(figure.subplots(1, len(when), squeeze=False)[0]):
-        _draw(ax, of, k, across)
+        _draw(ax, picture, k, across)
         ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
         ax.set_aspect("equal")
         ax.set_axis_off()
-        ax.set_title(f"t = {of.times[k]:.4g}", fontsize=9)
+        ax.set_title(f"t = {picture.times[k]:.4g}", fontsize=9)
     return figure
 
 
@@ -126,9 +126,9 @@ def _rows(run: Motion, times: Floats) -> list[int]:
     return [int(k) for k in np.searchsorted(middles, times)]
 
 
-def _across(of: Drawing, along: ArrayLike | None) -> Floats:
+def _across(picture: Drawing, along: ArrayLike | None) -> Floats:
     """(2, 3) float: directions to the right and up, of a view along a direction."""
-    extent = of.high - of.low
+    extent = picture.high - picture.low
     thin = int(np.argmin(extent))
     if along is not None:
         back = -direction(along, "along")
@@ -193,34 +193,34 @@ def _hull(points: Floats, radius: float) -> Floats:
     return np.asarray(everything[ConvexHull(everything).vertices])
 
 
-def _data_of(of: Drawing) -> dict[str, Any]:
+def _data_of(picture: Drawing) -> dict[str, Any]:
     """Data of the page: shapes, and whole numbers for poses."""
-    middle, fine = 0.5 * (of.low + of.high), _FINE * of.size
+    middle, fine = 0.5 * (picture.low + picture.high), _FINE * picture.size
     frames = [
         np.rint(np.hstack([1e4 * quaternion(turn), (at - middle) / fine])).astype(int).ravel().tolist()
-        for turn, at in zip(of.rotation, of.origin, strict=True)
+        for turn, at in zip(picture.rotation, picture.origin, strict=True)
     ]
-    lasts = float(of.times[-1] - of.times[0])
-    across = _across(of, None)
+    lasts = float(picture.times[-1] - picture.times[0])
+    across = _across(picture, None)
     back = np.cross(across[0], across[1])
-    shapes = [{"body": of.number(shape.body), **_shape(shape)} for shape in of.shapes]
+    shapes = [{"body": picture.number(shape.body), **_shape(shape)} for shape in picture.shapes]
     lines = [{"ends": ends.tolist(), "points": points.tolist()}
-             for ends, points in zip(of.lines.ends, of.lines.points, strict=True)]  # fmt: skip
+             for ends, points in zip(picture.lines.ends, picture.lines.points, strict=True)]  # fmt: skip
     grounds = []
-    for ground in of.grounds:
+    for ground in picture.grounds:
         n = ground.normal
         u = np.cross(np.eye(3)[int(np.argmin(np.abs(n)))], n)
-        u *= 0.6 * of.size / np.linalg.norm(u)
+        u *= 0.6 * picture.size / np.linalg.norm(u)
         # Where the motion is, not where the plane was given.
-        near = of.place(0, ground.body, np.zeros(3)) if ground.body >= 0 else middle
+        near = picture.place(0, ground.body, np.zeros(3)) if ground.body >= 0 else middle
         at = near - n * (n @ (near - ground.at)) if ground.body < 0 else ground.at
         v = np.cross(n, u)
         grounds.append({"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": v.tolist()})
-    meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in of.meshes]
+    meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in picture.meshes]
     return {
-        "names": list(of.names), "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
+        "names": list(picture.names), "colours": list(COLOURS), "times": np.round(picture.times, 12).tolist(),
         "meshes": meshes, "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds,
-        "middle": middle.tolist(), "size": of.size, "fine": fine, "thick": THICK * of.size,
+        "middle": middle.tolist(), "size": picture.size, "fine": fine, "thick": THICK * picture.size,
         "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
         "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
         "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,

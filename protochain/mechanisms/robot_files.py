@@ -132,8 +132,8 @@ def _floats(reading: Reading, of: Element | None, key: str, default: tuple[float
     return values
 
 
-def _number(reading: Reading, of: Element | None, key: str) -> float:
-    return float(_floats(reading, of, key, (0.0,))[0])
+def _number(reading: Reading, element: Element | None, key: str) -> float:
+    return float(_floats(reading, element, key, (0.0,))[0])
 
 
 def _of(reading: Reading, joint: Element, end: str) -> str:

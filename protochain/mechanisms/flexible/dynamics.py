@@ -109,9 +109,9 @@ def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
 
 def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
     """(nn, 6) float: each node's angular momentum about its place, and linear momentum."""
-    turn, of = bent.rotation, flexible.sections
-    angular = (twists[:, None, :3] @ turn) @ of.inertia @ turn.swapaxes(1, 2)
-    return np.concatenate([angular[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
+    turn, sections = bent.rotation, flexible.sections
+    angular = (twists[:, None, :3] @ turn) @ sections.inertia @ turn.swapaxes(1, 2)
+    return np.concatenate([angular[:, 0], sections.mass[:, None] * twists[:, 3:]], axis=1)
 
 
 def _pull_back(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:

@@ -154,10 +154,10 @@ class Flexible(Value):
     @cached_property
     def arrays(self) -> tuple[Floats, ...]:
         """Places, masses, inertias (nn, ...), moves and turns (nn, K, 3), shortening (nn, K, K, 3)."""
-        of = self.sections
+        sections = self.sections
         return (
-            of.place, of.mass, of.inertia, read_only(of.moves.swapaxes(1, 2)),
-            read_only(of.turns.swapaxes(1, 2)), read_only(np.moveaxis(of.shortening, 1, 3)),
+            sections.place, sections.mass, sections.inertia, read_only(sections.moves.swapaxes(1, 2)),
+            read_only(sections.turns.swapaxes(1, 2)), read_only(np.moveaxis(sections.shortening, 1, 3)),
         )  # fmt: skip
 
     @cached_property
