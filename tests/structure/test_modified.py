@@ -180,7 +180,7 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
 
     from protochain.structure.preparation import capping
 
-    capping._parametrised.cache_clear()
+    capping._parametrise.cache_clear()
     monkeypatch.setattr(optional_libraries.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Reason.PARENT]

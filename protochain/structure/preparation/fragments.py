@@ -74,7 +74,7 @@ def assign_chemistry(draft: Draft) -> Changes:
         try:
             if around and not chemist.chemistry.has_sage:
                 raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
-            made = FragmentBuilder(chemist, members, own, where, odd).fragment()
+            made = FragmentBuilder(chemist, members, own, where, odd).build()
             yield from _take_in(draft, chemist, made, odd)
         except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
             if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
