@@ -153,7 +153,7 @@ class Folder:
         self.stored = values
 
     def close(self, sound: bool) -> None:
-        """Close the files, and give them their final names if the run is stable."""
+        """Close the files, and rename them to their final names if the run is stable."""
         self._rows.close()
         if sound:
             self.log_part.replace(self.log)

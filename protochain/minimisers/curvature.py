@@ -94,14 +94,14 @@ def near_terms(energy: Energy) -> NearTerms | None:
     Returns
     -------
     NearTerms or None
-        None if its terms are not known, as of a callable. The metric then consists of springs.
+        None if its terms are not known, e.g. for a callable. The metric then consists of springs.
     """
     terms = terms_of(energy)
     return None if terms is None else _near(terms)
 
 
 def terms_of(energy: Any) -> Terms | None:
-    """Terms of an energy as arrays, or None if they are not known, as of a callable."""
+    """Terms of an energy as arrays, or None if they are not known, e.g. for a callable."""
     terms: Terms | None = getattr(energy, "terms", None)
     return _read(energy) if terms is None and getattr(energy, "system", None) is not None else terms
 

@@ -75,7 +75,7 @@ class MeanMovement:
     pose : Pose
         Pose of the chain.
     scale : (n_v,) float
-        Rates of the freedoms for a unit step, as of :class:`Torsions`.
+        Rates of the freedoms for a unit step, as in :class:`Torsions`.
     """
 
     tree: Tree

@@ -83,7 +83,7 @@ def minimise(
         300 K, bonds to hydrogen constrained, between two minimisations). For custom methods see
         :func:`protochain.minimisers.recipe_of`.
     q : (n_q,) float, optional
-        Coordinates of the given chain to start from, as of :meth:`Chain.set`. Default: its input pose.
+        Coordinates of the given chain to start from, as in :meth:`Chain.set`. Default: its input pose.
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its optional method ``at_stage`` is called with the stage (``resolving clashes``,
@@ -104,7 +104,7 @@ def minimise(
 
     Notes
     -----
-    The native engine skips terms that are constant in the chain. Single-precision forces, as of OpenMM's CPU
+    The native engine skips terms that are constant in the chain. Single-precision forces, as on OpenMM's CPU
     platform, limit how small a torque can become. If a method on such an engine reports convergence, no lower
     energy, or a number that is not finite, it continues on the Reference platform, within the same budget.
 
@@ -245,7 +245,7 @@ def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
-    """Watcher that warns if a run from a crowded start goes far. Other runs have none."""
+    """Watcher that warns if a run from a crowded start moves far away. Other runs have none."""
     return StrayWatcher(start.chain.structure, record.warn) if start.is_crowded else lambda x: None
 
 

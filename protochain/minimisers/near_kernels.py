@@ -63,7 +63,7 @@ def bends(x: Floats, atoms: Integers) -> Floats:
 
 @kernel
 def turns(x: Floats, atoms: Integers, waves: Floats, first: Integers) -> tuple[Floats, Floats]:
-    """Gradients (n, 4, 3) of dihedrals, as of :func:`energies.native.bonded.twist`, and stiffness (n,)."""
+    """Gradients (n, 4, 3) of dihedrals, as in :func:`energies.native.bonded.twist`, and stiffness (n,)."""
     gradients, stiffness = np.empty((len(atoms), 4, 3)), np.zeros(len(atoms))
     for n in range(len(atoms)):
         xj, xk = vector(x, atoms[n, 1]), vector(x, atoms[n, 2])

@@ -61,7 +61,7 @@ class Run:
     continued : bool
         Whether to continue on the energy's double-precision reference if single precision fails.
     by_springs : Method, optional
-        Replaces ``method`` if the near terms of an energy are not known, as of a callable.
+        Replaces ``method`` if the near terms of an energy are not known, e.g. for a callable.
     """
 
     method: Method

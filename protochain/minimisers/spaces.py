@@ -107,7 +107,7 @@ class Torsions:
     ) -> Callable[[Floats], Floats]:
         """Solver for J^T C J, by Cholesky factorisation.
 
-        C is the stiffness of the force field's near terms, of given springs or contacts, and of tethers.
+        C contains the force field's near terms, or given springs, or else contacts, and the tethers.
         """
         by_terms = self.terms is not None and near_by is None
         floor = curvature.TORSION_FLOOR if by_terms else spring_model.TORSION_FLOOR

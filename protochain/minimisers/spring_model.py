@@ -1,6 +1,6 @@
 """Model of the Hessian from geometry alone: springs between nearby atoms, stiffest along bonds.
 
-For energies whose near terms are not known (:mod:`protochain.minimisers.curvature`), as of a callable.
+For energies whose near terms are not known (:mod:`protochain.minimisers.curvature`), e.g. callables.
 
 Minimisation is slow because some freedoms are a million times stiffer than others. Bonds are stiffer than
 dihedrals. Dihedrals that press two atoms together are stiffer than others that swing a loop. Springs between
@@ -26,7 +26,7 @@ DEPTH = 0.4
 the minimum is 72 times the depth divided by the squared distance."""
 
 DECAY = 14.0
-"""Decay rate of the stiffness per contact distance, as of the repulsive part of a curvature, r^-14. The whole
+"""Decay rate of the stiffness per contact distance, as in the repulsive part of a curvature, r^-14. The whole
 12-6 curvature has a rate of 21 at contact."""
 
 REACH = 1.3

@@ -48,7 +48,7 @@ class Start:
 
     @cached_property
     def is_crowded(self) -> bool:
-        """Whether atoms overlap at the start, or a bond goes through a ring."""
+        """Whether atoms overlap at the start, or a bond passes through a ring."""
         return is_crowded(self.chain.structure)
 
     @cached_property

@@ -53,7 +53,7 @@ def is_crowded(structure: Structure) -> bool:
 
 @dataclass
 class StrayWatcher:
-    """Watcher of a run from a start with overlaps, which reports once if the run has gone far."""
+    """Watcher of a run from a start with overlaps, which reports once if the run has moved far away."""
 
     structure: Structure  # The start.
     report: Callable[[str], None]  # Called with the line.
