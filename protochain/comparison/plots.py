@@ -49,7 +49,7 @@ def plot_work_precision(
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
-    # Single-precision energies may lie below the lowest judged one.
+    # Single-precision energies may be below the lowest judged energy.
     traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
     for axes, (name, methods) in zip(grid, groups.items(), strict=True):
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)

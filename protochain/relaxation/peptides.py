@@ -39,8 +39,8 @@ class PeptideBonds:
     def of(structure: Structure) -> "PeptideBonds":
         """Find the peptide bonds of a protein, and their target forms.
 
-        The target is cis if the C-alphas are as close as in a cis bond, and the bond is cis in the file or
-        precedes a proline and is nearer to cis. All other targets are trans.
+        A cis target requires C-alphas as close as in a cis bond. The bond must also be cis in the file, or
+        nearer to cis before a proline. All other targets are trans.
         """
         bonds, amino = omegas(structure), layout(structure)
         before, after = amino.atoms("CA", "C")[amino.before], amino.atoms("N", "CA")

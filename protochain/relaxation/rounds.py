@@ -103,9 +103,9 @@ class Relaxer:
     structure: Structure  # The input, with turned side chains: all springs pull to it.
     energy: Energy
     strength: Preset
-    max_iterations: int  # Of each minimisation; 0 for no limit.
+    max_iterations: int  # Limit of each minimisation, 0 for none.
     note: Note
-    moving: NDArray[np.bool_] | None = None  # (na,) bool: Atoms that may move; all but obstacles by default.
+    moving: NDArray[np.bool_] | None = None  # (na,) bool: Moving atoms, by default all except obstacles.
     user_restraints: tuple[Force, ...] = ()  # Restraints of the user.
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], max_rounds: int) -> list[RoundEnd]:
