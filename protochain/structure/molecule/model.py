@@ -1,4 +1,4 @@
-"""Structure: a prepared, all-atom protein, on which the rest of the library works."""
+"""Structure: a prepared, all-atom protein, the input of the rest of the library."""
 
 import hashlib
 from collections import deque
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Tie:
-    """Spring that holds a bond between the protein and a molecule kept with it."""
+    """Spring of a bond between the protein and a hetero molecule."""
 
-    atoms: tuple[int, ...]  # Two of a distance, or three of an angle at the second.
+    atoms: tuple[int, ...]  # Two for a distance, or three for an angle at the second.
     rest: float
     stiffness: float  # E = stiffness/2 (value - rest)^2.
 
 
 @dataclass(frozen=True, eq=False)
 class BoundLigand(Value):
-    """A small molecule that moves with the protein, or residues that no template fits: of known chemistry."""
+    """A mobile small molecule, or residues that no template fits, of known chemistry."""
 
-    ligand: Ligand  # Its chemistry and parameters; names and positions are those of the file.
+    ligand: Ligand  # Chemistry and parameters, with names and positions of the file.
     atoms: Integers  # (n,) int: The structure's atom of each atom of the molecule, hydrogens included.
-    # Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
+    # Stereocentres, and double bonds as ``C1=C2``, whose configuration differs between file and source.
     inverted: tuple[str, ...] = ()
-    # Of residues what the force field calls each atom that keeps its parameters; empty for others.
+    # Force-field names of the atoms of residues that retain its parameters, empty for other atoms.
     core: tuple[str, ...] = ()
     posed: bool = False  # Whether it is a pose that was added to the file's structure.
 
@@ -50,7 +50,7 @@ class BoundLigand(Value):
         object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))
 
     def in_energy(self) -> str:
-        """What of it determines the energy, in whatever order its atoms and terms are."""
+        """Text of all that determines the energy, independent of the order of atoms and terms."""
         parameters = self.ligand.parameters
         rows = []
         for term in (parameters.bonds, parameters.angles, parameters.torsions):
@@ -63,24 +63,24 @@ class BoundLigand(Value):
 
 
 def _round(values: Floats) -> list[Any]:
-    """Numbers without the digits that differ with the order of sums, and without negative zeros."""
+    """Round numbers to digits that do not depend on the order of sums, without negative zeros."""
     numbers: list[Any] = (np.round(values, _DIGITS) + 0.0).tolist()
     return numbers
 
 
 _DIGITS = 9
-"""Of parameters that are compared: sums of charges differ in the last."""
+"""Digits of compared parameters, because the last digits of sums of charges differ."""
 
 
 @dataclass(frozen=True, eq=False)
 class Origin(Value):
-    """Where the atoms of a structure come from, by which positions of a file's atoms become its own."""
+    """Origin of the atoms of a structure, which maps positions of a file to the structure."""
 
-    # Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
+    # Atoms of the model in the file, or in the object of another library, in order: ``A/17/GLU/CG``.
     atoms: tuple[str, ...]
-    # (na,) int: Place of each atom of the structure among these; -1 of an atom that was added.
+    # (na,) int: Place of each atom of the structure among these, or -1 for an added atom.
     place: Integers
-    charge: Floats  # (na,) e: Charges of the templates, by which added hydroxyls were turned.
+    charge: Floats  # (na,) e: Charges of the templates, which orient added hydroxyls.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "place", read_only(self.place, np.int64))
@@ -96,47 +96,47 @@ class Structure(Value):
     name : str
         Short name, from the file's name or the sequence.
     topology : openmm.app.Topology
-        Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are those of the file.
+        Chains, residues, atoms and bonds, with chain ids, numbers and insertion codes of the file.
     positions : (na, 3) float, nm
         Positions of the atoms.
     repairs : tuple of Repair
-        Every change made to the file's contents; the text of each is a line.
+        Every change to the contents of the file. The text of each is a line.
     left_out : mapping of str to int
-        Numbers of molecules and atoms of the file that were left out, by kind.
+        Numbers of removed molecules and atoms of the file, by kind.
     b_factor : (na,) float, angstrom^2
-        B factors of the file, NaN where it has none; an added atom has its neighbour's.
+        B factors of the file, NaN if it has none. An added atom has the B factor of its neighbour.
     obstacle : (na,) bool
-        Atoms held fixed: ligands, ions and other molecules kept with the protein.
+        Fixed atoms: ligands, ions and other hetero molecules.
     occupancy : (na,) float
-        Occupancies of the file; an added hydrogen has its parent's, any other added atom 1.
+        Occupancies of the file. An added hydrogen has the occupancy of its parent, any other added atom 1.
     residue_label : tuple of Label
-        ``label_asym_id`` of each residue, and its place in the sequence of the file; empty if unknown.
+        ``label_asym_id`` of each residue, and its place in the sequence of the file, or empty if unknown.
     header : str
-        What the file says beside its atoms (title, cell, sequences, secondary structure), as mmCIF text.
+        Header of the file (title, cell, sequences, secondary structure), as mmCIF text.
     model_number : int
         Number of the model in the file.
     ties : tuple of Tie
-        Springs between the protein and these molecules, part of every energy.
+        Springs between the protein and hetero molecules, part of every energy.
     mobile : (na,) bool
-        Atoms of molecules that move with the protein: the user's force field has their parameters, or they
-        are ligands of known chemistry.
+        Atoms of molecules that move with the protein: molecules with parameters in the user's force field,
+        and ligands of known chemistry.
     links : (n, 2) int
-        Bonds, coordinated metals included, of the protein to atoms outside it, the protein's atom first; then
-        those between residues outside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
-        the two tells the kind.
+        Bonds of the protein to atoms outside it, coordinated metals included, the protein's atom first. Bonds
+        between residues outside it that the file states (LINK, CONECT, ``_struct_conn``) follow. Bonds with
+        a metal are coordination.
     mirrored : (nr,) bool
-        D-amino acids, whose ``residue_name`` is that of their mirror image; files have their own.
+        D-amino acids. Their ``residue_name`` is the name of the mirror image. Files have the D name.
     built : (na,) bool
-        Heavy atoms that the file lacks.
+        Heavy atoms missing from the file.
     ligands : tuple of BoundLigand
-        Small molecules kept with the protein that move with parameters of their own.
+        Mobile small molecules near the protein with parameters of their own.
     fragments : tuple of BoundLigand
         Residues that no template fits, with the force field of small molecules: modified, cross-linked, or
-        bonded to the protein; atoms of the molecule that cap it are those of its neighbours, or -1.
+        bonded to the protein. Capping atoms of the molecule are atoms of its neighbours, or -1.
     glycans : mapping of int to str
-        Codes in GLYCAM-06j, as ``4YB``, of the sugars that move with the protein that bears them, by residue.
+        Codes in GLYCAM-06j, as ``4YB``, of the mobile sugars of glycosylated proteins, by residue.
     origin : Origin, optional
-        Which atoms of the file these are; None of a sequence.
+        Atoms of the file, or None for a sequence.
 
     Raises
     ------
@@ -201,7 +201,7 @@ class Structure(Value):
 
     @property
     def n_protein_residues(self) -> int:
-        """Residues of the protein, without molecules kept with it."""
+        """Number of residues of the protein, without hetero molecules."""
         return len(np.unique(self.atom_residue[~self.kept]))
 
     @property
@@ -241,7 +241,7 @@ class Structure(Value):
 
     @cached_property
     def residue_name_in_file(self) -> NDArray[np.str_]:
-        """(nr,) str: residue names as files have them: D-amino acids bear their own."""
+        """(nr,) str: residue names in files, with D names for D-amino acids."""
         pairs = zip(self.residue_name.tolist(), self.mirrored.tolist(), strict=True)
         return np.array([name_in_file(name, is_d) for name, is_d in pairs])
 
@@ -257,12 +257,12 @@ class Structure(Value):
 
     @cached_property
     def residue_chain(self) -> NDArray[np.str_]:
-        """(nr,) str: chain ids of the file; the parts of a broken chain share one."""
+        """(nr,) str: chain ids of the file, shared by the parts of a broken chain."""
         return np.array([residue.chain.id for residue in self.topology.residues()])
 
     @cached_property
     def residue_chain_index(self) -> Integers:
-        """(nr,) int: index of the unbroken chain of each residue; its id may change within."""
+        """(nr,) int: index of the unbroken chain of each residue. The chain id may change within."""
         chain = np.array([residue.chain.index for residue in self.topology.residues()], dtype=np.int64)
         starts = np.diff(chain, prepend=-1) != 0
         (i, j), residue = self.bonds.T, self.atom_residue
@@ -278,14 +278,14 @@ class Structure(Value):
 
     @cached_property
     def coordination(self) -> NDArray[np.bool_]:
-        """(nbonds,) bool: bonds of metals that springs hold."""
+        """(nbonds,) bool: bonds of metals with springs."""
         pairs = (tie.atoms for tie in self.ties if len(tie.atoms) == 2)
         ends = {tuple(sorted(pair)) for pair in pairs if is_metal(str(self.atom_element[pair[1]]))}
         return read_only([(i, j) in ends for i, j in self.bonds.tolist()], np.bool_)
 
     @property
     def neighbours(self) -> Neighbours:
-        """Atoms bonded to each atom, in the order of the bonds; found once for all frames."""
+        """Atoms bonded to each atom, in the order of the bonds, computed once for all frames."""
         if neighbours not in self.shared_cache:
             self.shared_cache[neighbours] = neighbours(self.bonds, self.n_atoms)
         table: Neighbours = self.shared_cache[neighbours]
@@ -306,17 +306,17 @@ class Structure(Value):
 
     @cached_property
     def formal_charge(self) -> Integers:
-        """(na,) int: charges that the file gives to atoms outside the protein; of ions and thiolates."""
+        """(na,) int: formal charges in the file of atoms outside the protein, and of ions and thiolates."""
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property
     def shared_cache(self) -> dict[Any, Any]:
-        """What functions found of all but the positions, shared by what :meth:`with_positions` makes."""
+        """Cache of values independent of positions, shared with structures of :meth:`with_positions`."""
         return {}
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles, ties."""
+        """SHA-256 of all inputs of the energy function: atoms, residues, bonds, obstacles, ties."""
         seen = hashlib.sha256()
         for values in (
             self.atom_name, self.atom_element, self.atom_residue, self.residue_name,
@@ -334,12 +334,12 @@ class Structure(Value):
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """Heavy atoms of the file that the structure lacks, but waters and what options leave out."""
+        """Heavy atoms lost from the file, without waters and atoms excluded by options."""
         return tuple(loss for repair in self.repairs for loss in repair.lost)
 
     @cached_property
     def changes(self) -> tuple[str, ...]:
-        """Summary of the repairs: losses first, alike changes in one line."""
+        """Summary of the repairs: losses first, similar changes in one line."""
         return summarise(self.repairs)
 
     def describe_residue(self, residue: int) -> str:
@@ -347,7 +347,7 @@ class Structure(Value):
         return str(self.residue(residue))
 
     def residue(self, residue: int) -> Residue:
-        """What files call a residue."""
+        """Chain, number and name of a residue in files."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
         name = name_in_file(str(self.residue_name[residue]), bool(self.mirrored[residue]))
         return Residue(str(self.residue_chain[residue]), number, name)
@@ -357,21 +357,21 @@ class Structure(Value):
         return f"atom {self.atom(atom)}"
 
     def atom(self, atom: int) -> Atom:
-        """What files call an atom."""
+        """Name and residue of an atom in files."""
         return Atom(str(self.atom_name[atom]), self.residue(int(self.atom_residue[atom])))
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""
         moved, _ = replace(self, positions=x), self.shared_cache
-        # Attributes that are derived do not depend on the positions.
+        # Cached attributes do not depend on the positions.
         moved.__dict__.update({name: value for name, value in vars(self).items() if name not in vars(moved)})
         return moved
 
     def dihedrals(self) -> "pd.DataFrame":
-        """Dihedrals of the protein, in degrees: a row a residue.
+        """Dihedrals of the protein, in degrees, one row per residue, as hinges are named and measured.
 
         Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``phi``, ``psi``, ``omega`` (of
-        the bond after it), ``chi1`` to ``chi5``; NaN where there is none. As hinges are named and measured.
+        the bond after it), ``chi1`` to ``chi5``. Missing dihedrals are NaN.
         """
         from protochain.structure.molecule.dihedrals import dihedrals
 
@@ -402,24 +402,24 @@ R = TypeVar("R")
 
 
 def per_structure(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatenate[Structure, P], R]:
-    """Keep what a function finds of a structure, whatever its positions, for all that share its atoms."""
+    """Cache the results of a function that ignores positions, for all structures with the same atoms."""
 
     @wraps(find)
-    def cached(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
+    def lookup(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
         key = (find, args, *kwargs.items())
         if key not in structure.shared_cache:
             structure.shared_cache[key] = find(structure, *args, **kwargs)
         value: R = structure.shared_cache[key]
         return value
 
-    return cached
+    return lookup
 
 
 def per_positions(find: Callable[[Structure, Floats], R]) -> Callable[[Structure, Floats], R]:
-    """Keep what a function finds at positions x (na, 3), those of the last two: start and end of a run."""
+    """Cache the results of a function at the last two positions x (na, 3): start and end of a run."""
 
     @wraps(find)
-    def cached(structure: Structure, x: Floats) -> R:
+    def lookup(structure: Structure, x: Floats) -> R:
         last = structure.shared_cache.setdefault(find, deque(maxlen=2))
         for position, stored in (*last,):
             if np.array_equal(position, x):
@@ -429,4 +429,4 @@ def per_positions(find: Callable[[Structure, Floats], R]) -> Callable[[Structure
         result: R = last[-1][1]
         return result
 
-    return cached
+    return lookup

@@ -1,4 +1,4 @@
-"""What was changed to prepare a file: values, the words for each, and a summary of many."""
+"""Changes to the contents of files: kinds, texts and summaries."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
@@ -15,12 +15,12 @@ from protochain.core.markup import counted, listed
 from protochain.structure.molecule.residues import Atom
 
 _SHOWN = 8
-"""Places named in a line that tells many changes."""
+"""Number of places listed in a line about many changes."""
 KEEP_ALL = Argument("keep", "all")
-"""How to keep what is left out."""
+"""Argument that includes removed molecules."""
 
 Render = Callable[[Argument | Angle], str]
-"""An argument, or angle, in the words of whoever reads: ``str`` in those of Python."""
+"""Function that writes an argument or angle for the reader. For Python it is ``str``."""
 
 
 class Rank(IntEnum):
@@ -38,7 +38,7 @@ class Words(NamedTuple):
     """Words of a kind of repair."""
 
     one: str  # A template, whose fields are the facts of the repair.
-    many: str = ""  # What is said of several residues; by default what ``one`` says of its residue.
+    many: str = ""  # Text about several residues, by default the text of ``one`` after its residue.
     rank: Rank = Rank.CHANGE
 
 
@@ -282,7 +282,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Count:
-    """Number of molecules of a kind, and why these are left out."""
+    """Number of molecules of a kind, and the reason for their removal."""
 
     n: int
     kind: str
@@ -294,7 +294,7 @@ class Count:
 
 @dataclass(frozen=True)
 class AtomDistance:
-    """An atom, or two, and how far away or apart it is, angstrom."""
+    """One atom or two, and their distance, angstrom."""
 
     atoms: tuple[Atom, ...]
     length: float
@@ -305,7 +305,7 @@ class AtomDistance:
 
 @dataclass(frozen=True)
 class AtomRename:
-    """Name of an atom in the file, and that which it gets."""
+    """Name of an atom in the file, and its new name."""
 
     before: str
     after: Atom
@@ -315,7 +315,7 @@ class AtomRename:
 
 
 class Reason(StrEnum):
-    """Why atoms of a file are lost."""
+    """Reasons for the loss of atoms of a file."""
 
     PARENT = "the force fields have only its standard parent"
     END = "the force fields have only its standard parent at the end of a chain"
@@ -333,15 +333,15 @@ class Reason(StrEnum):
 
     @property
     def is_of_whole(self) -> bool:
-        """Whether nothing stays of the residue."""
+        """Whether the whole residue is lost."""
         return self in (Reason.BACKBONE, Reason.CAP, Reason.ELEMENT, Reason.CHARGE, Reason.DUMMY, Reason.FAR)
 
 
 @dataclass(frozen=True)
 class Loss:
-    """Heavy atoms of a residue of the file that the structure lacks, but what options leave out."""
+    """Lost heavy atoms of a residue of the file, without atoms excluded by options."""
 
-    chain: str  # Of the residue in the file; the number with its insertion code.
+    chain: str  # Of the residue in the file. The number has its insertion code.
     number: str
     name: str
     atoms: tuple[str, ...]  # Names in the file.
@@ -354,17 +354,17 @@ class Loss:
 
 @dataclass(frozen=True)
 class Repair(Value):
-    """A change made to the contents of a file; its text is a sentence."""
+    """A change to the contents of a file, with a sentence as its text."""
 
     kind: Kind
-    # What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``, ``count``,
+    # Facts in the text of the kind, and more: ``residue`` (a ``residues.Residue``), ``atoms``, ``count``,
     # ``length`` (angstrom), ...
     facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    lost: tuple[Loss, ...] = ()  # What it takes away.
+    lost: tuple[Loss, ...] = ()  # Lost atoms.
 
     @classmethod
     def of(cls, kind: Kind, lost: tuple[Loss, ...] = (), **facts: Any) -> "Repair":
-        """Describe a change, with the facts that its words name."""
+        """Describe a change, with the facts of its text."""
         return cls(kind, facts, lost)
 
     def __post_init__(self) -> None:
@@ -377,12 +377,12 @@ class Repair(Value):
         return f"<Repair {self.kind.name}: {self}>"
 
     def sentence(self, render: Render = str) -> str:
-        """Tell it in a sentence."""
+        """Return the text as a sentence."""
         return _fill(self.kind.value.one, self, render)
 
 
 class _Form(Formatter):
-    """Fills templates: a list's format is how many are shown, or ``and``; a count's, ``n`` and its word."""
+    """Fill templates. The format of a list is its shown length or ``and``, of a count ``n`` and a noun."""
 
     def __init__(self, render: Render) -> None:
         self.render = render
@@ -428,7 +428,7 @@ def needs_action(repair: Repair) -> bool:
 
 
 def counts_of_changes(repairs: Iterable[Repair]) -> str:
-    """Count in one line what was added to a file, kept with the protein and removed."""
+    """Count added atoms, hetero molecules and removed molecules in one line."""
     log: dict[Kind, list[Mapping[str, Any]]] = defaultdict(list)
     for repair in repairs:
         log[repair.kind].append(repair.facts)
@@ -447,7 +447,7 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
 
 
 def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
-    """Rank of a repair in the summary, and what it says, alike for those in one line."""
+    """Return the rank of a repair in the summary, and the text shared by the repairs of a line."""
     one, many, rank = repair.kind.value
     if rank is Rank.GAP:
         return rank, ""
@@ -457,7 +457,7 @@ def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
 
 
 def _in_words(rank: Rank, change: str, alike: list[Repair], render: Render) -> str:
-    """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
+    """Summarise a group of repairs. A single repair has its own text, unless it is a histidine state."""
     if rank is Rank.HISTIDINE:
         his: dict[str, list[str]] = defaultdict(list)
         for item in alike:

@@ -29,10 +29,10 @@ STATE_PARENT = {
     "LSN": ("LYS", "LYN"), "LYSN": ("LYS", "LYN"), "HIS1": ("HIS", "HID"), "CYN": ("CYS", ""),
     "S1P": ("SEP", "S1P"), "T1P": ("TPO", "T1P"), "Y1P": ("PTR", "Y1P"),
 }  # fmt: skip
-"""Standard residue and protonation state of the names that Amber, CHARMM and GROMACS give to states."""
+"""Standard residue and protonation state of the state names of Amber, CHARMM and GROMACS."""
 
 LINKED = {"NLN": "ASN", "OLS": "SER", "OLT": "THR", "OLP": "HYP"}
-"""What GLYCAM calls the residues that bear a sugar."""
+"""GLYCAM names of glycosylated residues."""
 
 PHOSPHORYLATED = frozenset({"SEP", "TPO", "PTR"})
 """Phosphates of serine, threonine and tyrosine."""
@@ -51,13 +51,13 @@ PKA = {
     "ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP"),
     "SEP": (5.6, "S1P"), "TPO": (5.9, "T1P"), "PTR": (5.9, "Y1P"),
 }  # fmt: skip
-"""pKa, and the state at or below it; values of OpenMM's ``hydrogens.xml``, and the second pKa of phosphates
+"""pKa, and the state at or below it, from OpenMM's ``hydrogens.xml``, and the second pKa of phosphates
 (Xie, Jiang, Ben-Amotz, Anal. Biochem. 343:223, 2005)."""
 PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}
 """pKa, and the state above it."""
 
 OF_ALANINE = frozenset({"N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT"})
-"""Atoms of a modified residue with the parameters of alanine, or of glycine where it has no CB."""
+"""Atoms of a modified residue with the parameters of alanine, or of glycine without CB."""
 
 BACKBONE = ("N", "CA", "C")
 """Atoms required to rebuild a residue."""
@@ -89,9 +89,9 @@ CHI: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "TYR": (_CG, ("CA", "CB", "CG", "CD1")),
     "VAL": (("N", "CA", "CB", "CG1"),),
 }
-"""chi1, chi2, ... of each residue; proline's ring is rigid and has none."""
+"""chi1, chi2, ... of each residue. Proline has none because its ring is rigid."""
 SYMMETRIC = frozenset({"ASP", "GLU", "PHE", "TYR"})
-"""Residues whose last chi repeats after 180 degrees: two atoms are equal."""
+"""Residues whose last chi repeats after 180 degrees because two atoms are equal."""
 
 ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "ALA": (("N", "CA", "CB", "HB1"),),
@@ -124,22 +124,22 @@ NUCLEIC = {
     }
     for name in sorted(NUCLEOTIDES)
 }
-"""Torsions of nucleotides (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983) but delta and those of the sugar, whose
-ring is rigid; ``base`` is chi."""
+"""Torsions of nucleotides (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983) without delta and the torsions of the
+sugar, whose ring is rigid. ``base`` is chi."""
 
 
 BLANK = "(blank)"
-"""What a chain without an id is called."""
+"""Name of a chain without an id."""
 
 
 def name_in_file(name: str, is_d: bool) -> str:
-    """Name of a residue in a file: a D-amino acid bears its own, not that of its mirror image."""
+    """Name of a residue in a file. A D-amino acid has its D name, not the name of its mirror image."""
     return D_NAMES.get(name, name) if is_d else name
 
 
 @dataclass(frozen=True)
 class Residue:
-    """A residue by what a file calls it; its text is ``A:GLU17``."""
+    """A residue by its name in a file, with the text ``A:GLU17``."""
 
     chain: str  # Empty for a chain without an id.
     number: str  # With its insertion code.
@@ -150,7 +150,7 @@ class Residue:
 
     @property
     def chain_name(self) -> str:
-        """What its chain is called."""
+        """Name of its chain."""
         return self.chain or BLANK
 
     @property
@@ -160,14 +160,14 @@ class Residue:
 
     @property
     def label(self) -> str:
-        """Chain, name and number: ``A:GLU17``; ``A:SO4 301`` if the name ends in a digit."""
+        """Chain, name and number: ``A:GLU17``, or ``A:SO4 301`` if the name ends in a digit."""
         name = f"{self.name} " if self.name[-1:].isdigit() else self.name
         return f"{self.chain}:{name}{self.number}" if self.chain else f"{name}{self.number}"
 
 
 @dataclass(frozen=True)
 class Atom:
-    """An atom of a residue; its text is ``CG of A:GLU17``."""
+    """An atom of a residue, with the text ``CG of A:GLU17``."""
 
     name: str
     residue: Residue

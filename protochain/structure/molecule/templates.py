@@ -411,7 +411,7 @@ def template_name(residue: str) -> str:
 
 
 def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str]:
-    """Yield atom names that are synonyms of the parent's: O1 of a modified residue is O, unless of a sulphate."""
+    """Yield synonyms of the parent's atom names: O1 of a modified residue is O, but not in a sulphate."""
     present = {atom.name: atom for atom in atoms}
     for synonym, name in template.synonyms.items():
         if synonym in present and name not in present:
