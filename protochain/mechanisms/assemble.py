@@ -148,7 +148,7 @@ def assemble(
             armature[b] = body.armature
             continue
         hinge = hinges[inward[name]]
-        # What is between the axes of a ball is named as the ball is, and inside it.
+        # Bodies between the axes of a ball have the name of the ball, and are inside it.
         kind[b] = HingeKind.BALL_AXIS if isinstance(hinge, _BallAxis) else KINDS[hinge.kind]
         parent[b], pitch[b], armature[b] = place[hinge.parent], hinge.pitch, hinge.armature
         at[b], axis[b], rotation[b] = hinge.at, hinge.axis, hinge.rotation

@@ -41,7 +41,7 @@ class Bodies:
     q, qd : (n_q,) and (n_v,) float
         Coordinates and velocities as built.
     joints : LoopJoints, optional
-        What closes loops.
+        Joints that close loops.
     joint_names : tuple of str
         Name of the joint of each of their equations.
     gravity : (3,) float
@@ -126,7 +126,7 @@ class Bodies:
         return np.concatenate([np.cross(arm, force), force], axis=1)
 
     def inside(self, b: int, point: ArrayLike) -> Floats:
-        """(3,) float: a point or direction from a body's own axes to the axes of the tree's frame."""
+        """(3,) float: a point or direction in a body's own axes, along the axes of the tree's frame."""
         vector = np.asarray(point, dtype=float)
         return vector if b < 0 else np.asarray(self.turn[b].T @ vector)
 

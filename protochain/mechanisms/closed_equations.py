@@ -30,11 +30,11 @@ class ClosedEquations(Equations):
     loads, drive : tuple of Load, and callable, optional
         As of :class:`Equations`.
     joints : LoopJoints
-        What closes the loops.
+        Joints that close the loops.
 
     Notes
     -----
-    Accelerations sum up the open tree's and the effect of the joints' least forces (Gauss's principle). The
+    Accelerations are those without loops plus the effect of the joints' least forces (Gauss's principle). The
     projections after a step are smallest by the kinetic energy, so that neither lets the loops drift.
     """
 

@@ -29,7 +29,7 @@ NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
 
 
 class ContactForces:
-    """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps."""
+    """Forces of a contact in a mechanism. Only the anchors change in a run, after each of its steps."""
 
     def __init__(self, tree: Tree, finder: Finder, constants: Floats) -> None:
         # Stiffness, exponent, damping of the normal force; coefficient, stiffness, damping of friction.
@@ -186,7 +186,7 @@ def _drag(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats,
     depth: Floats, stretch: Floats, constants: Floats, arms: Floats,
 ) -> None:  # fmt: skip
-    """Place anchors at the present places if friction allows it, so that a rolling ball does not slip."""
+    """Place anchors at the present places if friction allows it, so rolling balls do not seem to slip."""
     # An anchor is dragged to where the spring alone has the greatest friction.
     for k in range(len(depth)):
         a, b, at, spring = ends[k, 0], ends[k, 1], algebra.vector(place, k), algebra.vector(stretch, k)

@@ -1,4 +1,4 @@
-"""What pictures of mechanisms show: shapes of bodies, given or found from hinges, joints and contacts."""
+"""Contents of pictures of mechanisms: shapes of bodies, by the user or from hinges, joints and contacts."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

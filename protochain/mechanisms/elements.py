@@ -1,4 +1,4 @@
-"""What acts in a mechanism: elements with an exact energy, dampers, and loads, whose work is counted."""
+"""Elements of a mechanism: elements with an exact energy, dampers, and loads, whose work is counted."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -53,7 +53,7 @@ class Memory(Protocol):
 
     @property
     def kept(self) -> Any:
-        """What forces depend on now, as a frozen value that goes into the rows of a run."""
+        """Memory now, on which forces depend, as a frozen value for the rows of a run."""
 
     def recall(self, memory: Any) -> None:
         """Restore the forces of a row. None restores forces without a past."""
@@ -111,13 +111,13 @@ class Named:
     """
 
     noun: ClassVar[str] = "element"
-    """What messages call it."""
+    """Name of its kind in messages."""
 
     name: str
 
     @property
     def label(self) -> str:
-        """What messages call it, with its name."""
+        """Its kind and name, for messages."""
         return f'{self.noun} "{self.name}"'
 
     def fix(self, **values: Any) -> None:

@@ -65,7 +65,7 @@ class Event(Named):
                 raise MechanicsError(f"{self.label}: its {name_of_callable} must be a function of the state")
 
     def watch(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
-        """Return it for ``march``, which adds it to the list when it happens."""
+        """Return it for ``march``. When the event happens, it is added to the list."""
 
         def value(at: Phase) -> float:
             number = float(answer(f"{self.label}: its value", self.value, state_of(at)))

@@ -82,7 +82,7 @@ class HingeFriction(Named):
 class Rubbing(NamedTuple):
     """Friction of a hinge, bound."""
 
-    label: str  # What messages call it.
+    label: str  # Kind and name, for messages.
     body: int  # body, freedom: Body beyond the hinge, and place in qd.
     freedom: int
     torque: float  # torque, arm, damping, speed: Constants; arm is coefficient times radius.

@@ -243,7 +243,7 @@ class _Writing:
 
 
 def _merge_nominal(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
-    """Bodies, with those of unphysical inertia merged with the bodies that are fixed to them."""
+    """Bodies. Those of unphysical inertia are merged with all bodies that fixed hinges join to them."""
     out = dict(bodies)
     for body in bodies.values():
         if not out[body.name].nominal:

@@ -193,7 +193,7 @@ class _Simulation:
             memory.begin(self.start)
         self.add(self.start)
         end: Phase | None = None
-        # What diverges is refused, not warned of.
+        # Divergence raises an error, not a warning.
         with np.errstate(over="ignore", invalid="ignore"):
             try:
                 watching = self.model.events or self.model.memories

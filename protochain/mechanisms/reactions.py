@@ -19,7 +19,7 @@ _AXES = ("x", "y", "z")
 
 
 class Transmitted(NamedTuple):
-    """What passes through hinges and joints at one moment."""
+    """Forces through hinges and joints at one moment."""
 
     at: Phase  # The moment.
     # (nb, 6): Moment about the origin of each body, and force, by which its parent, or the world, moves it.
@@ -28,7 +28,7 @@ class Transmitted(NamedTuple):
 
 
 def transmitted_forces(model: Assembly, at: Phase) -> Transmitted:
-    """Find what hinges transmit, by Newton and Euler from the outermost bodies inward."""
+    """Find the forces of hinges, by Newton and Euler from the outermost bodies inward."""
     # What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
     # parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
     tree, system, frames = model.tree, model.system, at.factors.frames
@@ -101,7 +101,7 @@ def _of_joint(moment: Transmitted, model: Assembly, rows: list[int]) -> Floats:
     b = int(joints.body[rows[0], 1])
     point = joints.point[rows[0], 1]
     place = point if b < 0 else frames.rotation[b] @ point + frames.origin[b]
-    # What acts on the world is against what acts on the first body.
+    # The wrench on the world is opposite to the wrench on the first body.
     side, sign = (1, 1.0) if b >= 0 else (0, -1.0)
     a = int(joints.body[rows[0], side])
     wrench = sign * np.einsum("m,mi->i", moment.joints[rows], joints.rows(frames)[1].wrench[rows, side])

@@ -67,7 +67,7 @@ class Rosenbrock(Integrator):
 
 def _check_balance(system: Equations, at: Phase, after: Phase, speed: Floats) -> None:
     """Raise if energy changes by other than the work of the ends' powers, as of an unresolved damper."""
-    # What moves no faster than ``speed`` (n_v,) may lose its energy, and forces their work at such speeds.
+    # Motions up to ``speed`` (n_v,) may lose their energy, and forces their work at such speeds.
     work = after.work - at.work
     flow = max(at.kinetic, after.kinetic) + abs(after.potential - at.potential) + np.sum(np.abs(work))
     trace = 0.5 * float(system.momenta(after.factors, speed) @ speed)

@@ -1,4 +1,4 @@
-"""What comes of a simulation: table, coordinates by name, forces of joints, pictures and audit."""
+"""Result of a simulation: table, coordinates by name, forces of joints, pictures and audit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

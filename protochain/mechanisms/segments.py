@@ -2,7 +2,7 @@
 
 Megahed, Hamza, Robotica 22:285 (2004). The beam, less a rigid zone at either end, is cut into equal cells.
 The middle of each is a hinge whose spring is as stiff as the cell, and the rods between are rigid. The error
-of frequencies and deflections falls as one over the square of the number of cells. What comes of it is an
+of frequencies and deflections falls as one over the square of the number of cells. The result is an
 ordinary tree of revolute hinges.
 """
 

@@ -16,7 +16,7 @@ from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, const
 
 @dataclass(frozen=True, eq=False)
 class Torsion(Named):
-    """Spring, damper, or both, on a hinge, with its angle or slide, and energy k (q - rest)^2 / 2.
+    """Spring, damper, or both, on the angle or slide of a hinge, with energy k (q - rest)^2 / 2.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class BendingSystem(Equations):
 
     @cached_property
     def units(self) -> Floats:
-        """(n_v,) float: an amplitude that moves a section by a size of the tree, or turns it by a radian."""
+        """(n_v,) float: units. An amplitude of one moves a section by the tree's size, or turns it by 1 rad."""
         return read_only(np.concatenate([self.tree.units, self._of_shapes]))
 
     @cached_property
