@@ -37,7 +37,7 @@ class BendingSystem(Equations):
 
     @cached_property
     def units(self) -> Floats:
-        """(n_v,) float: units. An amplitude of one moves a section by the tree's size, or turns it by 1 rad."""
+        """(n_v,) float: units. For amplitudes, a section moves by the tree's size, or turns by a radian."""
         return read_only(np.concatenate([self.tree.units, self._of_shapes]))
 
     @cached_property
