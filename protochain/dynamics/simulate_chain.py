@@ -79,7 +79,7 @@ def simulate(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         Chain to simulate. Files are loaded, and structures are divided into rigid bodies with the default
         hinges, results with their own hinges. A root that ``auto`` has fixed is freed.
     energy : Energy or callable, optional

@@ -66,7 +66,7 @@ def minimise(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         A file is loaded, and a structure is cut into a chain with the default hinges. A result continues from
         its end, with its own hinges. Methods that move masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
         ``quench``) free a root that ``auto`` has fixed, also in ``chain`` and ``q`` of the result.

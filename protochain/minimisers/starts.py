@@ -143,7 +143,7 @@ def explore(
 
     Parameters
     ----------
-    chain : Chain, Structure, path, or any input of :func:`protochain.as_structure`
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` accepts
         The first start. The others are perturbed.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`. All starts share one energy function.
