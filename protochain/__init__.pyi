@@ -29,6 +29,8 @@ from .comparison.hessian import hessian_product as hessian_product
 from .comparison.modes import NormalModes as NormalModes
 from .comparison.normal_modes import normal_modes as normal_modes
 from .comparison.quality import quality as quality
+from .comparison.unfolding import Unfolding as Unfolding
+from .comparison.unfolding import unfold as unfold
 from .core.errors import ProtochainError as ProtochainError
 from .dynamics import HingeSpring as HingeSpring
 from .dynamics import Pull as Pull

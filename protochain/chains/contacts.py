@@ -41,6 +41,21 @@ class Overlap:
         )
 
 
+ALPHA_REACH, SEPARATION = 0.8, 3
+"""nm between C-alphas in contact, and least number of residues from one to the other in a chain."""
+
+
+def alpha_contacts(structure: Structure, x: Floats) -> Integers:
+    """Pairs (n, 2) of C-alphas that are in contact at positions x (na, 3), nm."""
+    alphas = structure.alpha_carbons
+    if not len(alphas):
+        return np.empty((0, 2), dtype=int)
+    pairs = alphas[cKDTree(x[alphas]).query_pairs(ALPHA_REACH, output_type="ndarray")]
+    residues = structure.atom_residue[pairs]
+    is_one_chain = np.diff(structure.residue_chain_index[residues])[:, 0] == 0
+    return np.asarray(pairs[~is_one_chain | (np.abs(np.diff(residues)[:, 0]) >= SEPARATION)])
+
+
 @per_structure
 def radii(structure: Structure) -> Floats:
     """(na,) float, nm: van der Waals radii."""

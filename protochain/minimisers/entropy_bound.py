@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Literal, Protocol, get_args
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from protochain.chains.chain import Chain, Pose
+from protochain.chains.contacts import alpha_contacts
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
 from protochain.mechanics.multibody import HingeKind, Tree, pull_back, rigid_bodies
@@ -32,8 +32,6 @@ METRIC_NAMES: tuple[str, ...] = get_args(MetricName)
 MOST_ITERATIONS = 5
 """Newton's iterations for the multiplier. Spectra over eight decades need five from a cold start."""
 _ROUND_OFF = 1e-14
-_CONTACT, _SEPARATION = 0.8, 3
-"""nm between C-alphas in contact, and the least number of C-alphas from one to the other."""
 
 
 class Ellipsoid(Protocol):
@@ -127,11 +125,9 @@ def _tree_of_weights(chain: Chain, name: str) -> Tree:
 
 def _tree_of_contacts(chain: Chain, x: Floats) -> Tree:
     """Tree whose C-alphas weigh one more than the number of their contacts at positions x (na, 3)."""
-    atoms = chain.structure.alpha_carbons
-    pairs = KDTree(x[atoms]).query_pairs(_CONTACT, output_type="ndarray")
-    pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) >= _SEPARATION]
-    counts = np.bincount(pairs.ravel(), minlength=len(atoms))
-    return _tree_of_alphas(chain, 1.0 + counts.astype(float))
+    structure = chain.structure
+    counts = np.bincount(alpha_contacts(structure, x).ravel(), minlength=structure.n_atoms)
+    return _tree_of_alphas(chain, 1.0 + counts[structure.alpha_carbons])
 
 
 def _tree_of_alphas(chain: Chain, weights: Floats) -> Tree:

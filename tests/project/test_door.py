@@ -96,6 +96,7 @@ REQUIRED = {
     "simulate": lambda: (C(), vacuum()),
     "solve_mass": lambda: (C(), at(), np.zeros(C().n_v)),
     "to_ase": lambda: (S(), vacuum()),
+    "unfold": lambda: (S(), vacuum()),
     "to_simulation": lambda: (S(), simulation(FILE.name)),
     "to_mdanalysis": lambda: (S(),),
     "to_mdtraj": lambda: (S(),),

@@ -196,6 +196,7 @@ CALLS = {
     "relax_frames": lambda r, e: at(frames(r, **named(e)).energy_function, r),
     "normal_modes": lambda r, e: at(pc.normal_modes(r, e, k=1).energy_function, r),
     "scan": lambda r, e: pc.scan(r, e, {"phi A:2": phi(r)})["energy_kj_mol"][0],
+    "unfold": lambda r, e: pc.unfold(r, e, max_steps=1).energies[0],
     "hessian": by_hessian,
     "hessian_product": by_product,
 }
@@ -208,6 +209,7 @@ CHAINS = {
     "search": lambda r: pc.search(r, method="hopping", evaluations=1).chain,
     "simulate": lambda r: pc.simulate(r, n_steps=1, every=1).chain,
     "normal_modes": lambda r: pc.normal_modes(r, k=1).chain,
+    "unfold": lambda r: pc.unfold(r, max_steps=1).chain,
 }
 COORDINATES = {
     "as_structure", "cluster_frames", "deviation", "differences", "energy_from", "quality", "rmsd", "save",
