@@ -66,16 +66,16 @@ class Setup(Settings):
     root: str = setting(defaults.ROOT, "", checks.text)
     move: str = setting(
         defaults.MOVE,
-        "What may move, in MDAnalysis's selection language, with sidechain, ligand, interface: 'resid 5:20'.",
+        "Mobile atoms, in MDAnalysis's selection language, with sidechain, ligand, interface: 'resid 5:20'.",
         checks.selection,
     )
     rigid_protein: bool = setting(
         False,
-        "Only poses (--ligand POSE) move, or without one ligands of known chemistry.",
+        "Move only poses (--ligand POSE), or without poses ligands of known chemistry.",
         checks.flag,
         bool,
-        doc="Whether poses that are added, or without one all ligands of known chemistry, move alone: "
-        "``move`` is ``ligand``.",
+        doc="Whether only added poses move, or without poses all ligands of known chemistry. Sets ``move`` "
+        "to ``ligand``.",
     )
     forcefield: str = setting(
         defaults.FORCEFIELD,
@@ -86,8 +86,8 @@ class Setup(Settings):
     engine: str = setting(defaults.ENGINE, "auto, native or openmm.", checks.text)
     device: str = setting(
         defaults.DEVICE,
-        "What computes the energy: cpu, or by OpenMM cuda, hip or opencl; auto: a GPU from 5,000 atoms, in "
-        "frames from 1,000, if there is one.",
+        "Device for the energy: cpu, or with OpenMM cuda, hip or opencl. auto uses a GPU from 5,000 atoms, "
+        "in frames from 1,000, if there is one.",
         checks.text,
     )
     terms: str = setting(
@@ -99,70 +99,67 @@ class Setup(Settings):
     )
     cutoff: float | Literal["auto"] | None = setting(
         defaults.CUTOFF,
-        "Distance in nm up to which pairs act, none, or auto: none, or 2 above 20,000 atoms without a tree.",
+        "Cutoff distance of pairs, nm, none, or auto: none, or 2 above 20,000 atoms without a tree.",
         checks.cutoff_of,
         type='float, "auto" or None',
     )
     accuracy: float | Literal["auto", "exact"] = setting(
         defaults.ACCURACY,
-        "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
-        "5,000 atoms.",
+        "RMS error of forces of a tree for far pairs, kJ/mol/nm, exact, or auto: 0.001 from 5,000 atoms.",
         checks.accuracy_of,
         type='float, "auto" or "exact"',
     )
-    threads: int | None = setting(
-        None, "Threads to compute on [default: all].", checks.optional(checks.at_least(1)), int
-    )
+    threads: int | None = setting(None, "Threads [default: all].", checks.optional(checks.at_least(1)), int)
     trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", checks.flag, bool)
     model: int | str | None = setting(
         None,
-        "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
+        "Number of the model [default: the first]. minimise, relax, batch and validate also accept all, "
         "or 1-5,8.",
         lambda value, name: _model(value, name),
-        doc="Number of the model in the file; the first by default. A batch, or the command ``minimise``, "
-        "also takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.",
+        doc="Number of the model in the file, by default the first. A batch, or the command ``minimise``, "
+        "also accepts ``all`` or numbers as ``1-5,8``, and treats each of these models separately.",
     )
     assembly: str = setting(
         "",
-        "Biological assembly to build, by its name in the file, or models: all models joined "
-        "[default: the molecules as filed].",
+        "Biological assembly to build, by its name in the file, or models to join all models "
+        "[default: the molecules of the file].",
         checks.text,
     )
-    altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", checks.text)
+    altloc: str = setting("", "Preferred alternate location [default: highest occupancy].", checks.text)
     keep: tuple[str, ...] = setting(
         defaults.KEEP,
-        "Molecules to keep beside it, with commas: near (all but waters within 5 angstrom of it), "
+        "Hetero molecules to include, separated by commas: near (within 5 angstrom, without waters), "
         "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
         checks.words,
         type="tuple of str",
-        doc="Molecules to keep beside the protein, as in :func:`protochain.load`, or their names in one text "
-        "with commas between.",
+        doc="Hetero molecules to include, as in :func:`protochain.load`, or their names in one text, "
+        "separated by commas.",
     )
     disulfide: tuple[Bond, ...] | None = setting(
         None,
-        "Disulfide bonds beside those where sulphurs are near, with commas; the option may be repeated.",
+        "Disulfide bonds, also without near sulphurs, separated by commas. The option may be repeated.",
         checks.optional(checks.bonds),
         list[str],
         metavar="A:3-A:40",
         type="tuple of pairs of str, optional",
-        doc='Disulfide bonds beside those where sulphurs are near, each ``("A:3", "A:40")`` or '
-        '``"A:3-A:40"``; ``"none"`` among them drops those.',
-        word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
+        doc='Disulfide bonds in addition to bonds of near sulphurs, each ``("A:3", "A:40")`` or '
+        '``"A:3-A:40"``. ``"none"`` among them removes the bonds of near sulphurs.',
+        word=("no_disulfide", "Use only the disulfide bonds of --disulfide.", NO_BONDS),
     )
     ph: float | Literal["auto"] = setting(
         defaults.PH,
-        "pH for residues whose protonation the file does not show, or auto: 7, with the pKa of each by "
+        "pH for residues whose protonation the file does not show, or auto: 7, with pKa values by "
         "PROPKA [default: 7].",
         checks.acidity_or_auto,
         read=checks.number_in,
         type='float or "auto"',
-        doc="Of the protonation of residues whose hydrogens or names do not show it, as in "
+        doc="pH for the protonation of residues whose hydrogens or names do not show it, as in "
         ":func:`protochain.load`.",
     )
     strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", checks.flag, bool)
     chains: tuple[str, ...] = setting(
         (),
-        "Chains to take, with commas between [default: all].",
+        "Chains to read, separated by commas [default: all].",
         checks.words,
         option="--chain --chains",
         metavar="A,B",
@@ -170,8 +167,8 @@ class Setup(Settings):
     )
     ligands: tuple[LigandSource, ...] = setting(
         (),
-        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone; relax, score and "
-        "batch take several poses, in a folder or a file, and add each by itself); repeat for more.",
+        "Chemistry of a ligand by the name of its residue, or a pose to add (only FILE). relax, score and "
+        "batch accept several poses, in a folder or a file, and add each separately. Repeat for more.",
         checks.ligands,
         list[str],
         option="--ligand",

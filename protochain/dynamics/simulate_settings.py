@@ -62,14 +62,14 @@ class Pull(Settings):
 
     between: tuple[str, str] = setting(
         MISSING,
-        "Pull two atoms apart by a moving spring; or residues (A:1-A:20), or selections, ' - ' between.",
+        "Pull two atoms apart by a moving spring, or residues (A:1-A:20), or selections around ' - '.",
         ends,
         option="--pull",
         metavar="A:1:N-A:20:C",
     )
     stiffness: float = setting(
         defaults.PULL_STIFFNESS,
-        "Stiffness of this spring, kJ/mol/nm^2.",
+        "Stiffness of the pulling spring, kJ/mol/nm^2.",
         quantity("kilojoule_per_mole/nanometer/nanometer"),
         float,
         "--pull-stiffness",
@@ -77,7 +77,7 @@ class Pull(Settings):
     )
     speed: float = setting(
         defaults.PULL_SPEED,
-        "Speed of its length, nm/ps; below 0 together, 0 to hold.",
+        "Speed of the spring's length, nm/ps, below 0 together, 0 constant.",
         quantity("nanometer/picosecond"),
         float,
         "--pull-speed",
@@ -226,12 +226,12 @@ class SimulationSettings(Settings):
     )
     loops: str = setting(
         defaults.LOOPS, "Disulfides: open (force field) or closed (constraints).", text,
-        doc="Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field, "
-        "``closed`` keeps them, by constraints, at the lengths and angles they have at q.",
+        doc="Disulfides and other bonds at which loops were cut: ``open`` uses only the force field, "
+        "``closed`` constrains their lengths and angles to the values at q.",
     )  # fmt: skip
     hydrogen_mass: float | None = setting(
         None,
-        "Mass of hydrogens, taken from the atoms they are bonded to, amu.",
+        "Mass of hydrogens, repartitioned from their heavy atoms, amu.",
         optional(quantity("dalton")),
         float,
     )
@@ -242,8 +242,8 @@ class SimulationSettings(Settings):
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
     pull: Pull | None = setting(
         None, "", Pull.of, type="Pull or str, optional",
-        doc="Spring that pulls two places apart, or together, at constant speed; the log has its distance, "
-        'extension, force and work. A text, as ``"A:1:N-A:20:C"``, takes the default stiffness and speed.',
+        doc="Spring that pulls two places apart, or together, at constant speed. The log has its distance, "
+        'extension, force and work. A text, as ``"A:1:N-A:20:C"``, uses the default stiffness and speed.',
     )  # fmt: skip
     hinge_springs: tuple[HingeSpring, ...] = setting(
         (),
@@ -259,12 +259,12 @@ class SimulationSettings(Settings):
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
-        doc="Restraints, their lines, or a file of them; the log has their energy.",
+        doc="Restraints, their lines, or a file of them. The log has their energy.",
     )  # fmt: skip
     superpose: bool = setting(
-        True, "Write positions as the run went, not superposed on the start.", flag, bool, "--no-superpose",
-        doc="Superpose all positions on the start of the run, and the start on the input. A molecule that "
-        "something holds from outside, as restraints of positions do, stays where the run went.",
+        True, "Write positions of the run without superposition on the start.", flag, bool, "--no-superpose",
+        doc="Superpose all positions on the start of the run, and the start on the input. A molecule with "
+        "external forces, such as restraints of positions, is not superposed.",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -29,34 +29,33 @@ class MinimiseSettings(Settings):
 
     tolerance: float | None = setting(
         None,
-        "RMS force at convergence where all atoms move [default: 5 kJ/mol/nm, 1 with --starts], "
+        "RMS force at convergence if all atoms move [default: 5 kJ/mol/nm, 1 with --starts], "
         "or largest torque [default: 1 kJ/mol/rad].",
         TOLERANCE,
         float,
-        doc="Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force "
-        "(kJ/mol/nm), as recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 "
-        "kJ/mol/nm, which leaves a structure nearer to its start than 1 does, 0.5 to 1.6 kJ/mol per residue "
-        "above its minimum.",
+        doc="Largest torque (kJ/mol/rad) or, if all atoms move, RMS force (kJ/mol/nm) at convergence, "
+        "recomputed in double precision. Default: 1 kJ/mol/rad, or 5 kJ/mol/nm. The latter ends nearer to "
+        "the start than 1, and 0.5 to 1.6 kJ/mol per residue above the minimum.",
     )
     max_evaluations: int = setting(
-        defaults.MAX_EVALUATIONS, "Energy evaluations allowed for each method.", at_least(1), int
+        defaults.MAX_EVALUATIONS, "Limit of energy evaluations of each method.", at_least(1), int
     )
     seed: int = setting(
-        defaults.SEED, "Seed of methods that draw random numbers.", at_least(0), int,
-        doc="Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.",
+        defaults.SEED, "Seed of stochastic methods.", at_least(0), int,
+        doc="Seed of ``anneal`` and ``openmm-md``. The other methods use no random numbers.",
     )  # fmt: skip
     restraint: Any = setting(
         "",
-        "Springs to the start, kJ/mol/nm^2, one after the other: '1000 100 0'; or a restraint, as 'distance "
-        "A:3:CA A:9:CA 0 6 1000', or a file of them.",
+        "Successive springs to the start, kJ/mol/nm^2: '1000 100 0', or a restraint, as 'distance A:3:CA "
+        "A:9:CA 0 6 1000', or a file of restraints.",
         anything,
         option="--restrain",
         read=_not_empty,
         metavar="K...|LINE|FILE",
         type="float, sequence of float (kJ/mol/nm^2), or callable",
-        doc="Springs from the heavy atoms to their initial positions: one strength after the other, each "
-        "until it converges; a final 0 releases them. A callable takes positions to energy and forces, as "
-        "``energy`` does.",
+        doc="Springs from the heavy atoms to their initial positions: successive strengths, each until "
+        "convergence. A final 0 releases them. A callable maps positions to energy and forces, like "
+        "``energy``.",
     )
     max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
     curvature: bool | None = setting(
@@ -66,17 +65,17 @@ class MinimiseSettings(Settings):
         bool,
         "--curvature/--no-curvature",
         doc="Whether to compute, at the end, the lowest eigenvalue of the Hessian in the moving degrees of "
-        "freedom, and to go on from a saddle point (:mod:`protochain.minimisers.saddle`). It takes 10 to 40 "
+        "freedom, and to continue from a saddle point (:mod:`protochain.minimisers.saddle`), at 10 to 40 "
         "evaluations. Default: if only hinges turn, and in all atoms at tolerances up to 1 kJ/mol/nm, "
-        "without OpenMM's.",
+        "except for methods of OpenMM.",
     )
     judge: str = setting(
         defaults.JUDGE,
-        "Of start and end: auto (our kernels, all pairs in double precision) or reference (OpenMM's "
-        "Reference platform).",
+        "Energies of start and end: auto (native engine, all pairs in double precision) or reference "
+        "(OpenMM's Reference platform).",
         one_of(JUDGES),
-        doc="What judges start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the native "
-        "engine with all pairs in double precision, or that platform for what it cannot compute.",
+        doc="Evaluation of start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the "
+        "native engine with all pairs in double precision, or that platform if unsupported.",
     )
 
 
@@ -86,13 +85,13 @@ class CheckpointSettings(Settings):
 
     checkpoint: str | Path | None = setting(
         None, "File for the state at the end, .npz.", optional(path), Path, type="path-like, optional",
-        doc="File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be "
-        "written.",
+        doc="File (.npz) to write when the run ends, for ``resume``. A warning reports the reason if it "
+        "cannot be written.",
     )  # fmt: skip
     resume: str | Path | None = setting(
         None, "Continue from a checkpoint.", optional(path), Path, type="path-like, optional",
-        doc="Continue from a checkpoint of a run with the same settings; evaluations count on, and the steps "
-        "are those of an uninterrupted run, bit for bit.",
+        doc="Continue from a checkpoint of a run with the same settings. Counts of evaluations continue, and "
+        "steps are bitwise equal to an uninterrupted run.",
     )  # fmt: skip
 
 
@@ -102,7 +101,7 @@ class StartSettings(Settings):
 
     n_starts: int = setting(
         1,
-        "Number of starts, from dihedrals perturbed at random; the best end is written.",
+        "Number of starts with randomly perturbed dihedrals. The best end is written.",
         at_least(1),
         int,
         "--starts",

@@ -41,30 +41,30 @@ class RelaxSettings(Settings):
 
     preset: str = setting(defaults.PRESET, "Springs to the input: predicted, crystal or design.", text)
     protocol: str = setting(
-        "", "alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not.", text
+        "", "alphafold: amber99sb in vacuum, for comparison (X-H bonds are not constrained here).", text
     )
     tolerance: float | None = setting(
         None, "RMS force at the end, kJ/mol/nm [default: 10].", TOLERANCE, float,
-        doc="RMS force at which a minimisation ends, kJ/mol/nm, springs included; by default the preset's.",
+        doc="RMS force at which a minimisation ends, kJ/mol/nm, with springs. By default, the preset's.",
     )  # fmt: skip
     stiffness: float | None = setting(
         None,
         "Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2].",
         optional(in_range(number, lambda k: 0 <= k < math.inf, "give kJ/mol/nm^2, none below 0")),
         float,
-        doc="Springs of the backbone, E = k/2 d^2, kJ/mol/nm^2; those of side chains keep their proportion. "
-        "By default the preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.",
+        doc="Springs of the backbone, E = k/2 d^2, kJ/mol/nm^2. Springs of side chains scale with them. By "
+        "default, the preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.",
     )
     max_iterations: int = setting(
-        defaults.MAX_ITERATIONS, "Iterations of each minimisation; 0 for no limit.", at_least(0), int
+        defaults.MAX_ITERATIONS, "Iterations of each minimisation, or 0 for no limit.", at_least(0), int
     )
     max_outer_iterations: int = setting(
         defaults.MAX_OUTER_ITERATIONS,
-        "Rounds at most; after the first, residues with violations are held less.",
+        "Most rounds. After the first, residues with violations have weaker springs.",
         at_least(1),
         int,
-        doc="Rounds at most: in each but the first, residues that still have violations or overlaps, and "
-        "their neighbours, are held less: by a tenth of their springs, and the next time by none.",
+        doc="Most rounds. After the first, residues that still have violations or overlaps, and their "
+        "neighbours, have a tenth of their springs, and in the next round none.",
     )
     exclude: str = setting(
         "", "Residues without springs, in MDAnalysis's selection language: 'resid 5:20'.", text
@@ -74,44 +74,44 @@ class RelaxSettings(Settings):
     )
     repack: bool = setting(
         False,
-        "First put side chains that clash, or are far from every rotamer, into the best rotamers.",
+        "First repack side chains that clash, or are far from every rotamer.",
         flag,
         bool,
     )
     posebusters: bool = setting(
-        False, "Run PoseBusters' tests on ligands before and after: seconds for each.", flag, bool
+        False, "Run PoseBusters' tests on ligands before and after, in seconds for each.", flag, bool
     )
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
     repack_region: str = setting(
-        "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text,
-        doc="Residues whose side chains are put into the best of their rotamers first, all at once, whether "
-        "or not they are in the way, in the selection language of MDAnalysis: ``chainID A``, "
-        "``interface A B``. They may stay as they are; ``repack`` is implied.",
+        "", "First repack all side chains of a selection: 'interface A B', 'chainID A'.", text,
+        doc="Residues whose side chains are first repacked together, with or without clashes, in the "
+        "selection language of MDAnalysis: ``chainID A``, ``interface A B``. Input side chains are "
+        "candidates, too. Implies ``repack``.",
     )  # fmt: skip
     rebuild_side_chains: str = setting(
-        "", "First take side chains off and build them on rotamers: all, or those of a selection.", text,
+        "", "First rebuild side chains on rotamers: all, or those of a selection.", text,
         metavar="all|SELECTION",
     )  # fmt: skip
     sequence: str = setting(
-        "", "First put this sequence on the backbone: a FASTA file, or letters, with / between chains.",
+        "", "First mutate the backbone to this sequence: a FASTA file, or letters, with / between chains.",
         sequences, metavar="FASTA",
     )  # fmt: skip
     restraints: tuple[Restraint, ...] = setting(
-        (), "Restraint beside the springs, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
+        (), "Further restraint, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
         read_restraints, list[str], metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
-        doc="Restraints beside the springs, also to the end, their lines, or a file of them.",
+        doc="Restraints in addition to the springs, in all rounds: Restraints, lines, or a file.",
     )  # fmt: skip
     interface: str = setting(
         "",
-        "Also score the interface of two sides before and after, as protochain score does: A:B.",
+        "Also score the interface of two sides before and after, like protochain score: A:B.",
         text,
         metavar="A,B:C",
     )
     mirror: bool = setting(
-        False, "Chains of D-amino acids under names of L are meant, and get names of D.", flag, bool,
-        doc="Whether chains that are mirror images, most of whose stereocentres are D under names of L, are "
-        "meant as such: their residues become D-amino acids, also by name. Otherwise they are a violation.",
+        False, "Treat all-D chains with L residue names as intended, and rename their residues.", flag, bool,
+        doc="Whether mirror-image chains, with mostly D stereocentres and L names, are intended. Their "
+        "residues are then renamed as D-amino acids. Otherwise they are violations.",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

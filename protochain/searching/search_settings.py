@@ -45,12 +45,12 @@ class SearchSettings(Settings):
     )  # fmt: skip
     temperatures: tuple[float, float] = setting(
         defaults.SEARCH_TEMPERATURES,
-        "Lowest and highest temperature, K: hopping takes the lowest, csa none [default: 300-600].",
+        "Lowest and highest temperature, K. hopping uses the lowest, csa none [default: 300-600].",
         interval,
         str,
         metavar="LOW-HIGH",
         type="(float, float) or str, K",
-        doc='Lowest and highest, as ``"300-600"``. Hopping takes the lowest, csa none.',
+        doc='Lowest and highest, as ``"300-600"``. Hopping uses the lowest, csa none.',
     )
     n_walkers: int = setting(
         defaults.N_WALKERS,
@@ -64,22 +64,22 @@ class SearchSettings(Settings):
     )
     pilot: int = setting(
         defaults.PILOT,
-        "Rounds in which tempering places its temperatures, before those that count.",
+        "Rounds in which tempering adjusts its temperatures, before sampling.",
         at_least(3),
         int,
-        doc="Rounds of the pilot, which do not count: more where energies change late, as a peptide folds.",
+        doc="Rounds of the pilot, without sampling. Use more if energies change late, as a peptide folds.",
     )
     seed: int = setting(
         defaults.SEED, "Seed of all random numbers.", at_least(0), int,
-        doc="Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of "
-        "processes.",
+        doc="Seed of all random numbers. Results are bitwise equal for a seed, also after a kill, on any "
+        "number of processes.",
     )  # fmt: skip
     restraint: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
-        doc="As of :func:`protochain.minimise`, of one form: lines, or a file of them. All energies of the "
-        "search have theirs in them.",
+        doc="Restraints as in :func:`protochain.minimise`, as lines, or a file of them. All energies of the "
+        "search include them.",
     )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
@@ -94,19 +94,19 @@ class SearchRunSettings(Settings):
 
     evaluations: int | None = setting(
         None,
-        f"Energy evaluations in all, also those of an earlier run [default: {defaults.SEARCH_EVALUATIONS}, "
-        "without end with --hours].",
+        f"Total energy evaluations, with those of an earlier run [default: {defaults.SEARCH_EVALUATIONS}, "
+        "unlimited with --hours].",
         optional(at_least(1)),
         int,
-        doc="Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: "
-        "400,000, without end if ``hours`` are given.",
+        doc="Total energy evaluations of all walks. The last step of each may exceed its share. Default: "
+        "400,000, unlimited if ``hours`` are given.",
     )
     hours: float | None = setting(
         None,
         "Hours of this run.",
         optional(in_range(number, lambda hours: 0.0 < hours < math.inf, "give a number above 0")),
         float,
-        doc="Time after which the search ends, but not before one walk has begun.",
+        doc="Time after which the search ends, after at least one walk has begun.",
     )
     resume: bool = setting(
         False, "Continue the search in DIR.", flag, bool,
