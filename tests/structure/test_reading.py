@@ -103,7 +103,7 @@ def test_stated_bonds_are_disulfides_covalent_links_and_bonds_to_metals():
         link.partner1 = gemmi.AtomAddress("A ", gemmi.SeqId(1, "B"), "CYS", "SG")
         link.partner2 = gemmi.AtomAddress("B", gemmi.SeqId(2, " "), "CYS", f"{kind}")
         made.connections.append(link)
-    stated = read_model(made).stated
+    stated = read_model(made).stated_bonds
     assert stated == [(("A", "1B", "SG"), ("B", "2", kind)) for kind in ("Disulf", "Covale", "MetalC")]
 
 
