@@ -29,8 +29,8 @@ class PairSums(Value):
     """Sums over points of pairs of k chains and m, by which any of them are superposed."""
 
     weight: Floats  # (k, m): Number of points; 0 for chains that may not be paired.
-    own: Floats  # (k, m, 3): Sums of the points of the model and of the reference.
-    other: Floats
+    model: Floats  # (k, m, 3): Sums of the points of the model and of the reference.
+    reference: Floats
     across: Floats  # (k, m, 3, 3): Sums of products of points of the reference with points of the model.
     square: Floats  # (k, m): Sums of the squares of both.
 
@@ -38,28 +38,28 @@ class PairSums(Value):
     def of(cls, points: dict[tuple[int, int], tuple[Floats, Floats]], k: int, m: int) -> "PairSums":
         """Sum points (n, 3) of model and reference by their chains (i, j); pairs of one chain count alike."""
         weight, square = np.zeros((2, k, m))
-        own, other, across = np.zeros((k, m, 3)), np.zeros((k, m, 3)), np.zeros((k, m, 3, 3))
-        most = [max((len(x) for (i, _), (x, _) in points.items() if i == row), default=0) for row in range(k)]
+        model, reference, across = np.zeros((k, m, 3)), np.zeros((k, m, 3)), np.zeros((k, m, 3, 3))
+        size = [max((len(x) for (i, _), (x, _) in points.items() if i == row), default=0) for row in range(k)]
         for (i, j), (x, y) in points.items():
-            scale = most[i] / len(x)
-            weight[i, j], square[i, j] = most[i], scale * float(np.sum(x**2) + np.sum(y**2))
-            own[i, j], other[i, j], across[i, j] = (
+            scale = size[i] / len(x)
+            weight[i, j], square[i, j] = size[i], scale * float(np.sum(x**2) + np.sum(y**2))
+            model[i, j], reference[i, j], across[i, j] = (
                 scale * x.sum(axis=0),
                 scale * y.sum(axis=0),
                 scale * y.T @ x,
             )
-        return cls(weight, own, other, across, square)
+        return cls(weight, model, reference, across, square)
 
     def motion(self, rows: Integers, columns: Integers) -> tuple[Floats, Floats]:
         """Rotation and translation of the model with the least sum of squares over some pairs."""
-        n, own, other, across = (
-            each[rows, columns].sum(axis=0) for each in (self.weight, self.own, self.other, self.across)
+        n, model, reference, across = (
+            sums[rows, columns].sum(axis=0) for sums in (self.weight, self.model, self.reference, self.across)
         )
-        return motion_of(across - np.outer(other, own) / n, own / n, other / n)
+        return motion_of(across - np.outer(reference, model) / n, model / n, reference / n)
 
     def deviations(self, turn: Floats, shift: Floats) -> Floats:
         """Sums (k, m) of squared distances of all pairs after a motion of the model."""
-        along = self.own @ turn.T @ shift - self.other @ shift
+        along = self.model @ turn.T @ shift - self.reference @ shift
         return np.asarray(
             self.square
             + self.weight * (shift @ shift)
@@ -74,23 +74,23 @@ def least_deviation(sums: PairSums, first: Integers) -> Integers:
     best, least = first, _mean_square(sums, first)
     same = _SAME * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))
     for start in _starts(allowed):
-        found = _settled(sums, allowed, start)
-        off = _mean_square(sums, found)
-        if (found >= 0).sum() >= (best >= 0).sum() and off < least - same:
-            best, least = found, off
+        mapping = _refine(sums, allowed, start)
+        off = _mean_square(sums, mapping)
+        if (mapping >= 0).sum() >= (best >= 0).sum() and off < least - same:
+            best, least = mapping, off
     return best
 
 
 def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:
     """Mappings of one chain each."""
-    rows, columns = (each[:_STARTS].tolist() for each in np.nonzero(allowed))
+    rows, columns = (indices[:_STARTS].tolist() for indices in np.nonzero(allowed))
     for row, column in zip(rows, columns, strict=True):
         start = np.full(len(allowed), -1)
         start[row] = column
         yield start
 
 
-def _settled(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> Integers:
+def _refine(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> Integers:
     """Mapping of all chains, superposed and assigned in turn until it stays."""
     from scipy.optimize import linear_sum_assignment
 
@@ -100,12 +100,12 @@ def _settled(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> I
         # Beyond any sum of pairs that are allowed, so that as many of these as can be are found.
         beyond = 1.0 + 2.0 * len(off) * float(np.abs(off[allowed]).max())
         first, second = linear_sum_assignment(np.where(allowed, off, beyond))
-        found = np.full(len(mapping), -1)
-        kept = allowed[first, second]
-        found[first[kept]] = second[kept]
-        if (found == mapping).all():
+        assigned = np.full(len(mapping), -1)
+        is_allowed = allowed[first, second]
+        assigned[first[is_allowed]] = second[is_allowed]
+        if (assigned == mapping).all():
             break
-        mapping = found
+        mapping = assigned
     return mapping
 
 

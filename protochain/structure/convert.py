@@ -54,19 +54,19 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     >>> pc.as_structure("structures/ala10.pdb").n_residues
     10
     """
-    held = getattr(source, "structure", source)
-    held = held() if inspect.ismethod(held) else held  # Of a search the first, lowest minimum.
+    content = getattr(source, "structure", source)
+    content = content() if inspect.ismethod(content) else content  # Of a search the first, lowest minimum.
     # A comparison has several ends beside the structure of its start, and no best.
-    if isinstance(held, Structure) and (hasattr(source, "best") or not hasattr(source, "solutions")):
-        return held
+    if isinstance(content, Structure) and (hasattr(source, "best") or not hasattr(source, "solutions")):
+        return content
     if isinstance(source, str | Path):
         return load(source, **settings)
-    made = as_gemmi(source)
-    if len(made) and max(places_in_file(place.atom for place in made[0].all()), default=-1) < 0:
-        number_atoms(made)
-    made.merge_chain_parts()
-    check(made, name)
-    draft = Draft(name, name, reading=reading_of(**settings), file=made)
+    parsed = as_gemmi(source)
+    if len(parsed) and max(places_in_file(place.atom for place in parsed[0].all()), default=-1) < 0:
+        number_atoms(parsed)
+    parsed.merge_chain_parts()
+    check(parsed, name)
+    draft = Draft(name, name, reading=reading_of(**settings), file=parsed)
     return prepare(run(draft, READING))
 
 

@@ -61,55 +61,55 @@ class Ensemble(Value):
 
     def gap(self, x: Floats) -> float | None:
         """Largest distance, nm, of a molecule of a frame from those that it touches in the structure."""
-        apart = [float(np.min(KDTree(x[a]).query(x[b])[0])) for a, b in self._touching]
-        return max(apart, default=None)
+        distances = [float(np.min(KDTree(x[a]).query(x[b])[0])) for a, b in self._touching]
+        return max(distances, default=None)
 
     @cached_property
     def _touching(self) -> list[tuple[Integers, Integers]]:
         """Atoms of molecules, and of all before them, that are in contact in the structure."""
         x = self.structure.positions
-        own = self._molecules
-        pairs = [(np.concatenate(own[:k]), own[k]) for k in range(1, len(own))]
+        molecules = self._molecules
+        pairs = [(np.concatenate(molecules[:k]), molecules[k]) for k in range(1, len(molecules))]
         return [(a, b) for a, b in pairs if np.min(KDTree(x[a]).query(x[b])[0]) < _CONTACT]
 
     @cached_property
     def _molecules(self) -> list[Integers]:
         """Atoms that frames have of each molecule."""
-        molecule = self._outward[2][self._known]
-        return [self._known[molecule == m] for m in dict.fromkeys(molecule.tolist())]
+        molecule = self._outward[2][self._present]
+        return [self._present[molecule == m] for m in dict.fromkeys(molecule.tolist())]
 
     def _positions(self, frame: Frame) -> Floats:
         if frame.x is None:
             raise StructureError(frame.error)
         s, x = self.structure, np.full((self.structure.n_atoms, 3), np.nan)
-        x[self._known] = frame.x[self.place[self._known]]
-        strange = self._known[~(np.abs(x[self._known]) < _FARTHEST).all(axis=1)]
+        x[self._present] = frame.x[self.place[self._present]]
+        strange = self._present[~(np.abs(x[self._present]) < _FARTHEST).all(axis=1)]
         if len(strange):
             raise StructureError(
                 f"the position of {s.describe(int(strange[0]))} is not a number, or far away"
             )
         if frame.box is not None:
-            x = self._together(self._whole(x, frame.box), frame.box)
+            x = self._gather(self._make_whole(x, frame.box), frame.box)
         ends = x[self._bonds]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         if len(lengths) and not _NEAREST < lengths.min() <= lengths.max() < _TORN:
             worst = int(np.argmax(lengths if lengths.max() >= _TORN else -lengths))
             first, second = (s.describe(atom) for atom in self._bonds[worst].tolist())
-            why = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
-            apart = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
-            raise StructureError(f"{first} and {second} are bonded, but {apart}: {why}")
+            cause = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
+            separation = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
+            raise StructureError(f"{first} and {second} are bonded, but {separation}: {cause}")
         # As in a file: a hydrogen that is away from what it is bonded to is placed anew.
         loose = np.unique(self._bonds[ANGSTROM_PER_NM * lengths > BONDED])
         x[loose[s.atom_element[loose] == "H"]] = np.nan
         if not np.isnan(x).any():
             return x
         if (self._missing & (s.atom_element != "H")).any():
-            x = self._rebuilt(x)
+            x = self._rebuild(x)
         charge = s.origin.charge if s.origin else np.zeros(s.n_atoms)
         return place_hydrogens(x, s.atom_element.tolist(), charge, s.bonds)
 
     @cached_property
-    def _known(self) -> Integers:
+    def _present(self) -> Integers:
         """Atoms that frames have."""
         return np.flatnonzero(self.place >= 0)
 
@@ -131,15 +131,15 @@ class Ensemble(Value):
         graph = coo_array((np.ones(len(self._bonds)), self._bonds.T), (n, n)).tocsr()
         _, molecule = connected_components(graph, directed=False)
         atoms, parents = [], []
-        for first in np.unique(molecule[self._known], return_index=True)[1]:
-            order, parent = breadth_first_order(graph, self._known[first], directed=False)
+        for first in np.unique(molecule[self._present], return_index=True)[1]:
+            order, parent = breadth_first_order(graph, self._present[first], directed=False)
             atoms.append(order[1:])
             parents.append(parent[order[1:]])
-        each = (np.concatenate(atoms), np.concatenate(parents), molecule)
-        first, second, third = (np.asarray(its, dtype=np.int64) for its in each)
+        arrays = (np.concatenate(atoms), np.concatenate(parents), molecule)
+        first, second, third = (np.asarray(array, dtype=np.int64) for array in arrays)
         return first, second, third
 
-    def _whole(self, x: Floats, box: Floats) -> Floats:
+    def _make_whole(self, x: Floats, box: Floats) -> Floats:
         """Bring each atom to the image that is nearest to the one that it is bonded to."""
         atoms, parents, _ = self._outward
         turns = np.round((x[atoms] - x[parents]) @ np.linalg.inv(box))
@@ -150,21 +150,21 @@ class Ensemble(Value):
             shift[atom] = shift[parent] - turn
         return np.asarray(x + shift @ box)
 
-    def _together(self, x: Floats, box: Floats) -> Floats:
+    def _gather(self, x: Floats, box: Floats) -> Floats:
         """Bring molecules that touch none of those before them to an image that does, if there is one."""
-        own = self._molecules
-        for k, atoms in enumerate(own[1:], 1):
-            turns = touching_image(KDTree(x[np.concatenate(own[:k])]), x[atoms], box, _CONTACT)
+        molecules = self._molecules
+        for k, atoms in enumerate(molecules[1:], 1):
+            turns = touching_image(KDTree(x[np.concatenate(molecules[:k])]), x[atoms], box, _CONTACT)
             if turns is not None and turns.any():
                 x = np.array(x)
                 x[atoms] += turns @ box
         return x
 
-    def _rebuilt(self, x: Floats) -> Floats:
+    def _rebuild(self, x: Floats) -> Floats:
         """Build what the frame lacks, as the preparation of a file with it would; all but other hydrogens."""
-        s, made = self.structure, as_gemmi([self.structure])
+        s, model = self.structure, as_gemmi([self.structure])
         k = 0
-        for residue in (residue for chain in made[0] for residue in chain):
+        for residue in (residue for chain in model[0] for residue in chain):
             absent = []
             for i, atom in enumerate(residue):
                 absent += [i] if np.isnan(x[k, 0]) else []
@@ -172,20 +172,20 @@ class Ensemble(Value):
                 k += 1
             for i in reversed(absent):
                 del residue[i]
-        filled = as_structure(made, s.name, **{"keep": "all", **self.settings})
-        there = dict(zip(_keys(filled), filled.positions, strict=True))
+        complete = as_structure(model, s.name, **{"keep": "all", **self.settings})
+        built = dict(zip(_keys(complete), complete.positions, strict=True))
         x, keys = np.array(x), _keys(s)
         for k in np.flatnonzero(np.isnan(x[:, 0])).tolist():
-            if keys[k] in there:
-                x[k] = there[keys[k]]
+            if keys[k] in built:
+                x[k] = built[keys[k]]
             elif s.atom_element[k] != "H":
                 raise StructureError(f"{s.describe(k)} cannot be built; give frames with all heavy atoms")
         return x
 
 
 def _keys(s: Structure) -> list[tuple[str, ...]]:
-    of = s.atom_residue
-    columns = (s.residue_chain[of], s.residue_number[of], s.residue_insertion_code[of], s.atom_name)
+    res = s.atom_residue
+    columns = (s.residue_chain[res], s.residue_number[res], s.residue_insertion_code[res], s.atom_name)
     return [tuple(map(str, row)) for row in zip(*columns, strict=True)]
 
 
@@ -223,26 +223,26 @@ def _length(s: Structure, place: Integers, x: Floats) -> float:
 def _by_name(s: Structure, frames: Frames) -> Integers:
     assert s.origin
     at = {name: k for k, name in enumerate(frames.names)}
-    named = [s.origin.atoms[place] if place >= 0 else "" for place in s.origin.place.tolist()]
+    names = [s.origin.atoms[place] if place >= 0 else "" for place in s.origin.place.tolist()]
     absent = [
-        name for name, e in zip(named, s.atom_element, strict=True) if name and e != "H" and name not in at
+        name for name, e in zip(names, s.atom_element, strict=True) if name and e != "H" and name not in at
     ]
     if absent:
         raise StructureError(
             f"{frames.source}: has no atom {absent[0]}, which {s.name} has; give the topology of the frames"
         )
-    return np.array([at.get(name, -1) for name in named])
+    return np.array([at.get(name, -1) for name in names])
 
 
 def _of_backbones(s: Structure, frames: Frames) -> Integers:
     amino = [r for r in range(s.n_residues) if {*BACKBONE} <= {*s.atom_name[s.atom_residue == r].tolist()}]
-    own = gemmi.one_letter_code([str(s.residue_name[r]) for r in amino]).upper()
-    fits = len(own) == len(frames.sequence) and all(
-        a in (b, "X") for a, b in zip(frames.sequence, own, strict=True)
+    sequence = gemmi.one_letter_code([str(s.residue_name[r]) for r in amino]).upper()
+    fits = len(sequence) == len(frames.sequence) and all(
+        a in (b, "X") for a, b in zip(frames.sequence, sequence, strict=True)
     )
     if not fits or s.kept.any() or len(amino) < s.n_residues:
         raise StructureError(
-            f"{frames.source}: holds backbones of {frames.sequence}, but {s.name} is {own}"
+            f"{frames.source}: holds backbones of {frames.sequence}, but {s.name} is {sequence}"
             f"{' and other molecules' * bool(s.kept.any())}; give the topology of the frames"
         )
     row = {r: k for k, r in enumerate(amino)}

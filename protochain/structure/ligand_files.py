@@ -57,9 +57,9 @@ def save_ligands(
     """
     path = as_path(path, "path")
     check_ligand_file(path)
-    wanted = [as_path(each, "sources") for each in several(sources, "sources")]
+    chosen = [as_path(p, "sources") for p in several(sources, "sources")]
     measured = getattr(structure, "ligand_properties", ())
-    text = ligand_text(as_structure(structure), wanted, flag(others, "others"), measured)
+    text = ligand_text(as_structure(structure), chosen, flag(others, "others"), measured)
     write_text(path, text)
 
 
@@ -81,32 +81,32 @@ def check_ligands(structure: Structure) -> None:
 def ligand_text(
     structure: Structure,
     sources: Sequence[str | Path] = (),
-    others: bool = False,
+    include_others: bool = False,
     measured: Sequence[Mapping[str, str]] = (),
 ) -> str:
     """Return the text that :func:`save_ligands` writes; ``measured`` are fields of each ligand."""
     check_ligands(structure)
-    chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
-    every = [(each.ligand.molecule, each.atoms, each.posed) for each in structure.ligands]
-    every += [(molecule, atoms, False) for molecule, atoms in bonded_ligands(structure)]
-    order = sorted(range(len(every)), key=lambda k: every[k][0].source not in wanted)
-    for k in order if others or not wanted else (k for k in order if every[k][0].source in wanted):
-        molecule, atoms, posed = every[k]
+    chem, blocks, chosen = library("rdkit.Chem"), [], {str(Path(p)) for p in sources}
+    ligands = [(ligand.ligand.molecule, ligand.atoms, ligand.posed) for ligand in structure.ligands]
+    ligands += [(molecule, atoms, False) for molecule, atoms in bonded_ligands(structure)]
+    order = sorted(range(len(ligands)), key=lambda k: ligands[k][0].source not in chosen)
+    for k in order if include_others or not chosen else (k for k in order if ligands[k][0].source in chosen):
+        molecule, atoms, posed = ligands[k]
         x = structure.positions[atoms]
-        made, filed = to_rdkit(molecule, x), as_filed(molecule.source)
+        mol, filed = to_rdkit(molecule, x), as_filed(molecule.source)
         if filed:
-            made = chem.RenumberAtoms(made, _order(molecule, filed[0], x))
+            mol = chem.RenumberAtoms(mol, _order(molecule, filed[0], x))
         residues = map(structure.residue, dict.fromkeys(structure.atom_residue[atoms].tolist()))
-        residue = " and ".join(f"{its.name} {its.chain} {its.number}" for its in residues)
+        residue = " and ".join(f"{res.name} {res.chain} {res.number}" for res in residues)
         source = " ".join(molecule.source.split())
         pose = f" {Path(source).name}" if posed else ""
         fields = {"source": source, "protochain_residue": residue}
         if bonds := _bonds_outward(structure, atoms):
             fields["protochain_bonds"] = ", ".join(bonds)
         fields |= dict(measured[k]) if measured else {}
-        made.SetProp("_Name", (filed and filed[1]) or f"{residue}{pose}")
-        found.append(chem.MolToMolBlock(made) + _fields(filed[2] if filed else "", fields) + "$$$$\n")
-    return "".join(found)
+        mol.SetProp("_Name", (filed and filed[1]) or f"{residue}{pose}")
+        blocks.append(chem.MolToMolBlock(mol) + _fields(filed[2] if filed else "", fields) + "$$$$\n")
+    return "".join(blocks)
 
 
 def bonded_ligands(structure: Structure) -> list[tuple[Molecule, Integers]]:
@@ -115,16 +115,16 @@ def bonded_ligands(structure: Structure) -> list[tuple[Molecule, Integers]]:
     Orders of bonds and charges are those of the bonded state. Valences of the bonds to others are open.
     Nucleotides of strands are not among the molecules.
     """
-    found = []
-    for each in structure.fragments:
-        molecule, residue = each.ligand.molecule, structure.atom_residue[each.atoms]
-        of_field = residue[[bool(core) for core in each.core]]
-        is_beside = (each.atoms >= 0) & structure.kept[each.atoms] & ~np.isin(residue, of_field)
-        piece = components(molecule.bonds[is_beside[molecule.bonds].all(axis=1)], molecule.n_atoms)
-        for number in np.unique(piece[is_beside]).tolist():
-            atoms = np.flatnonzero(is_beside & (piece == number))
-            found.append((_part(molecule, atoms), each.atoms[atoms]))
-    return found
+    ligands = []
+    for fragment in structure.fragments:
+        molecule, residue = fragment.ligand.molecule, structure.atom_residue[fragment.atoms]
+        of_field = residue[[bool(core) for core in fragment.core]]
+        is_hetero = (fragment.atoms >= 0) & structure.kept[fragment.atoms] & ~np.isin(residue, of_field)
+        piece = components(molecule.bonds[is_hetero[molecule.bonds].all(axis=1)], molecule.n_atoms)
+        for number in np.unique(piece[is_hetero]).tolist():
+            atoms = np.flatnonzero(is_hetero & (piece == number))
+            ligands.append((_part(molecule, atoms), fragment.atoms[atoms]))
+    return ligands
 
 
 def _part(molecule: Molecule, atoms: Integers) -> Molecule:
@@ -153,30 +153,30 @@ def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
     """Atoms of a molecule at x (na, 3) nm in the order of the file, those that the file lacks last."""
     heavy = molecule.heavy
     names = tuple(molecule.names[i] for i in heavy)
-    if _named(molecule) != _named(filed):
+    if _heavy_graph(molecule) != _heavy_graph(filed):
         # The names are those of a model: coordinates show which atom is which.
         try:
             filed = copy_names(filed, molecule.elements[heavy], names, x[heavy])
         except StructureError:
             return list(range(molecule.n_atoms))
     order: list[int] = []
-    here, there = (neighbours(each.bonds, each.n_atoms) for each in (molecule, filed))
+    bonded, filed_bonded = (neighbours(m.bonds, m.n_atoms) for m in (molecule, filed))
     for k, name in enumerate(filed.names):
         if filed.elements[k] != 1:
             at = [molecule.names.index(name)]
         else:
-            (parent,) = there[k]
-            at = [j for j in here[molecule.names.index(filed.names[parent])] if molecule.elements[j] == 1]
+            (parent,) = filed_bonded[k]
+            at = [j for j in bonded[molecule.names.index(filed.names[parent])] if molecule.elements[j] == 1]
             # The hydrogen of this name, or else the next one that none beside it has.
-            beside = {filed.names[i] for i in there[parent]}
+            siblings = {filed.names[i] for i in filed_bonded[parent]}
             at = [j for j in at if molecule.names[j] == name] or [
-                j for j in at if j not in order and molecule.names[j] not in beside
+                j for j in at if j not in order and molecule.names[j] not in siblings
             ]
         order += [j for j in at[:1] if j not in order]
     return order + [j for j in range(molecule.n_atoms) if j not in order]
 
 
-def _named(molecule: Molecule) -> tuple[dict[str, int], set[frozenset[str]]]:
+def _heavy_graph(molecule: Molecule) -> tuple[dict[str, int], set[frozenset[str]]]:
     """Elements of the heavy atoms of a molecule and bonds between them, by name."""
     heavy = {molecule.names[i]: int(molecule.elements[i]) for i in molecule.heavy.tolist()}
     pairs = (frozenset(molecule.names[k] for k in pair) for pair in molecule.bonds.tolist())
@@ -188,10 +188,10 @@ def _fields(filed: str, added: Mapping[str, object]) -> str:
     blocks = [block for block in re.split(r"\n(?=>)", filed) if block.strip()]
     names = [re.search(r"<([^<>]*)>", block.split("\n")[0]) for block in blocks]
     stated = {name[1] for name in names if name}
-    kept = [b for b, name in zip(blocks, names, strict=True) if not (name and name[1].startswith(_PREFIX))]
-    more = {name: value for name, value in added.items() if name.startswith(_PREFIX) or name not in stated}
-    texts = [f"{block.rstrip()}\n\n" for block in kept]
-    return "".join(texts + [f">  <{name}>\n{value}\n\n" for name, value in more.items()])
+    remain = [b for b, name in zip(blocks, names, strict=True) if not (name and name[1].startswith(_PREFIX))]
+    new = {name: value for name, value in added.items() if name.startswith(_PREFIX) or name not in stated}
+    texts = [f"{block.rstrip()}\n\n" for block in remain]
+    return "".join(texts + [f">  <{name}>\n{value}\n\n" for name, value in new.items()])
 
 
 _PREFIX = "protochain_"
@@ -200,15 +200,15 @@ _PREFIX = "protochain_"
 def poses(path: Path) -> list[str]:
     """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one."""
     if path.is_dir():
-        files = sorted(each for each in path.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
+        files = sorted(child for child in path.iterdir() if child.suffix.lower() in MOLECULE_SUFFIXES)
         return [pose for file in files for pose in poses(file)]
     n = 1 if file_and_record(path)[1] else len(records(text_of(path), path.suffix.lower()))
     return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
 
 
-def are_several(given: str) -> bool:
+def are_several(source: str) -> bool:
     """Whether a source is a folder of poses, or a file with several; one that cannot be read is none."""
     try:
-        return Path(given).is_dir() or len(poses(Path(given))) > 1
+        return Path(source).is_dir() or len(poses(Path(source))) > 1
     except StructureError:
         return False

@@ -46,7 +46,7 @@ class Match(Value):
     @property
     def chain_mapping(self) -> str:
         """Paired chains in one text, as ``A:B,B:A``; a blank id is ``_``."""
-        return ",".join(f"{own or '_'}:{other or '_'}" for own, other in self.chains)
+        return ",".join(f"{first or '_'}:{second or '_'}" for first, second in self.chains)
 
 
 class _Alignment(NamedTuple):
@@ -59,81 +59,81 @@ class _Alignment(NamedTuple):
 
 def match(reference: Structure, model: Structure) -> Match:
     """Pair residues by chain, number and name, else by alignment (BLOSUM62); like chains for least RMSD."""
-    ours, theirs = _by_chain(reference), _by_chain(model)
-    numbered = _numbered(reference, model)
-    if not ours or not theirs:
+    refs, models = _by_chain(reference), _by_chain(model)
+    numbered = _numbered_pairs(reference, model)
+    if not refs or not models:
         raise ProtochainError(f"{model.name}: no residue matches {reference.name}")
-    if numbered and len(ours) == len(theirs) == 1:
-        return _matched(reference, model, numbered, "numbers", [(0, 0)])
-    aligned = _alignments(ours, theirs, reference, model)
-    place = {name: j for j, name in enumerate(theirs)}
-    by_id = np.array([place.get(name, -1) for name in ours])
-    first = by_id if numbered else _by_score(ours, theirs, aligned)
+    if numbered and len(refs) == len(models) == 1:
+        return _make_match(reference, model, numbered, "numbers", [(0, 0)])
+    aligned = _alignments(refs, models, reference, model)
+    place = {name: j for j, name in enumerate(models)}
+    by_id = np.array([place.get(name, -1) for name in refs])
+    first = by_id if numbered else _by_score(refs, models, aligned)
     mapping = _least(reference, model, aligned, first)
     columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
     if numbered and (mapping == first).all():
-        return _matched(reference, model, numbered, "numbers", columns)
-    pairs, kept, refused, how = list[tuple[int, int]](), list[tuple[int, int]](), list[str](), "fold"
+        return _make_match(reference, model, numbered, "numbers", columns)
+    pairs, matched, refused, how = list[tuple[int, int]](), list[tuple[int, int]](), list[str](), "fold"
     for i, j in columns:
-        own, other = list(ours)[i], list(theirs)[j]
-        its, score = aligned[i, j].pairs, 1.0
+        ref_id, model_id = list(refs)[i], list(models)[j]
+        chain_pairs, score = aligned[i, j].pairs, 1.0
         if aligned[i, j].identity >= _RELATED:
             how = "sequence"
         else:
-            its, score = _of_one_fold(reference, model, ours[own], theirs[other], its)
-        if its and score >= _ONE_FOLD:
-            pairs, kept = pairs + its, [*kept, (i, j)]
+            chain_pairs, score = _of_one_fold(reference, model, refs[ref_id], models[model_id], chain_pairs)
+        if chain_pairs and score >= _ONE_FOLD:
+            pairs, matched = pairs + chain_pairs, [*matched, (i, j)]
         else:
             percent = f"{100 * aligned[i, j].identity:.0f} %"
             refused.append(
-                f"chains {own or '_'} and {other or '_'}: {percent} identical, TM-score {score:.2f}"
+                f"chains {ref_id or '_'} and {model_id or '_'}: {percent} identical, TM-score {score:.2f}"
             )
     if not pairs:
         raise ProtochainError(
             f"{model.name}: its sequence is unrelated to that of {reference.name} ({'; '.join(refused)}); "
             f"give one at least {100 * _RELATED:.0f} % identical, or of the same fold (TM-score {_ONE_FOLD})"
         )
-    return _matched(reference, model, sorted(pairs), how, kept)
+    return _make_match(reference, model, sorted(pairs), how, matched)
 
 
-def _matched(
+def _make_match(
     reference: Structure,
     model: Structure,
     pairs: Sequence[tuple[int, int]],
     how: str,
     columns: Sequence[tuple[int, int]],
 ) -> Match:
-    ours, theirs = list(_by_chain(reference)), list(_by_chain(model))
+    ref_ids, model_ids = list(_by_chain(reference)), list(_by_chain(model))
     amino = sum(name in STANDARD for name in reference.residue_name.tolist())
     first, second = np.array(pairs, dtype=np.int64).T
     same = reference.residue_name[first] == model.residue_name[second]
-    chains = tuple((ours[i], theirs[j]) for i, j in columns)
+    chains = tuple((ref_ids[i], model_ids[j]) for i, j in columns)
     return Match(first, second, how, float(same.mean()), len(pairs) / amino, chains)
 
 
-def tm_score(reference: Structure, model: Structure, found: Match | None = None) -> float:
+def tm_score(reference: Structure, model: Structure, matching: Match | None = None) -> float:
     """TM-score of the C-alphas, by tmtools, normalised by the reference's length, in its order."""
-    ids = [other for _, other in found.chains] if found else []
+    ids = [chain for _, chain in matching.chains] if matching else []
     rank = {name: k for k, name in enumerate(ids)}
     alpha = model.alpha_carbons
     place = [rank.get(name, len(ids)) for name in model.residue_chain[model.atom_residue[alpha]].tolist()]
     ordered = alpha[np.argsort(place, kind="stable")]
-    return _aligned_by_shape(_trace(reference, reference.alpha_carbons), _trace(model, ordered))[0]
+    return _tm_scores(_trace(reference, reference.alpha_carbons), _trace(model, ordered))[0]
 
 
-def _aligned_by_shape(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tuple[float, float]:
+def _tm_scores(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tuple[float, float]:
     """TM-scores of two traces, normalised by the length of the reference, and by that of the shorter one."""
     import tmtools
 
-    (x, sequence), (y, other) = reference, model
+    (x, sequence), (y, model_sequence) = reference, model
     # Its time grows with their extents, of which it says nothing.
     if (
-        min(len(sequence), len(other)) < 3
+        min(len(sequence), len(model_sequence)) < 3
         or max(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()) > _FARTHEST
     ):
         return float("nan"), float("nan")
-    done = tmtools.tm_align(y, x, other, sequence)
-    return float(done.tm_norm_chain2), float(max(done.tm_norm_chain1, done.tm_norm_chain2))
+    result = tmtools.tm_align(y, x, model_sequence, sequence)
+    return float(result.tm_norm_chain2), float(max(result.tm_norm_chain1, result.tm_norm_chain2))
 
 
 _FARTHEST = 1000.0
@@ -144,10 +144,10 @@ def measurable(source: Any) -> Structure:
     """Structure of anything that can be measured; of a file, its first model."""
     if not isinstance(source, str | Path):
         return as_structure(source)
-    found = next(structure for _, structure in models_of(source, first=True))
-    if isinstance(found, StructureError):
-        raise found
-    return found
+    first_model = next(structure for _, structure in models_of(source, first=True))
+    if isinstance(first_model, StructureError):
+        raise first_model
+    return first_model
 
 
 def models_of(
@@ -169,12 +169,12 @@ def models_of(
             yield number, error
 
 
-def _numbered(reference: Structure, model: Structure) -> list[tuple[int, int]]:
+def _numbered_pairs(reference: Structure, model: Structure) -> list[tuple[int, int]]:
     """Pairs of amino acids of equal chain, number and name, if every residue of one structure is in one."""
-    ours, theirs = _names(reference), _names(model)
-    place = {name: r for r, name in enumerate(theirs)}
-    pairs = [(r, place[name]) for r, name in enumerate(ours) if name in place]
-    if len(pairs) < min(len(ours), len(theirs)) or len(place) < len(theirs):
+    names, model_names = _names(reference), _names(model)
+    place = {name: r for r, name in enumerate(model_names)}
+    pairs = [(r, place[name]) for r, name in enumerate(names) if name in place]
+    if len(pairs) < min(len(names), len(model_names)) or len(place) < len(model_names):
         return []
     return [(r, s) for r, s in pairs if str(reference.residue_name[r]) in STANDARD]
 
@@ -186,44 +186,44 @@ def _names(s: Structure) -> list[tuple[str, ...]]:
 
 def _by_chain(s: Structure) -> dict[str, list[int]]:
     """Amino acids of each chain id; a broken chain is one sequence."""
-    found: dict[str, list[int]] = {}
+    chains: dict[str, list[int]] = {}
     for r in range(s.n_residues):
         if str(s.residue_name[r]) in STANDARD:
-            found.setdefault(str(s.residue_chain[r]), []).append(r)
-    return found
+            chains.setdefault(str(s.residue_chain[r]), []).append(r)
+    return chains
 
 
 def _alignments(
-    ours: dict[str, list[int]], theirs: dict[str, list[int]], reference: Structure, model: Structure
+    refs: dict[str, list[int]], models: dict[str, list[int]], reference: Structure, model: Structure
 ) -> dict[tuple[int, int], _Alignment]:
     """Alignments of all pairs of chains; those of equal sequences are made once."""
-    made: dict[tuple[tuple[str, ...], tuple[str, ...]], _Alignment] = {}
-    found = {}
-    for i, own in enumerate(ours.values()):
-        first = tuple(reference.residue_name[own].tolist())
-        for j, other in enumerate(theirs.values()):
-            second = tuple(model.residue_name[other].tolist())
-            if (first, second) not in made:
-                made[first, second] = _align(first, second)
-            done = made[first, second]
-            found[i, j] = done._replace(pairs=[(own[a], other[b]) for a, b in done.pairs])
-    return found
+    unique: dict[tuple[tuple[str, ...], tuple[str, ...]], _Alignment] = {}
+    alignments = {}
+    for i, ref in enumerate(refs.values()):
+        first = tuple(reference.residue_name[ref].tolist())
+        for j, query in enumerate(models.values()):
+            second = tuple(model.residue_name[query].tolist())
+            if (first, second) not in unique:
+                unique[first, second] = _align(first, second)
+            alignment = unique[first, second]
+            alignments[i, j] = alignment._replace(pairs=[(ref[a], query[b]) for a, b in alignment.pairs])
+    return alignments
 
 
 def _by_score(
-    ours: dict[str, list[int]], theirs: dict[str, list[int]], aligned: Mapping[tuple[int, int], _Alignment]
+    refs: dict[str, list[int]], models: dict[str, list[int]], aligned: Mapping[tuple[int, int], _Alignment]
 ) -> Integers:
     """Chains (k,) of the model for the largest sum of scores, -1 for none; unrelated ones by their ids."""
     from scipy.optimize import linear_sum_assignment
 
     related = np.array(
-        [[aligned[i, j].identity >= _RELATED for j in range(len(theirs))] for i in range(len(ours))]
+        [[aligned[i, j].identity >= _RELATED for j in range(len(models))] for i in range(len(refs))]
     )
-    scores = np.array([[aligned[i, j].score for j in range(len(theirs))] for i in range(len(ours))])
+    scores = np.array([[aligned[i, j].score for j in range(len(models))] for i in range(len(refs))])
     lowest = float(scores.min()) - 1.0
-    same = np.array([[own == other for other in theirs] for own in ours])
+    same = np.array([[ref_id == model_id for model_id in models] for ref_id in refs])
     first, second = linear_sum_assignment(-np.where(related, scores, lowest + 0.5 * same))
-    mapping = np.full(len(ours), -1)
+    mapping = np.full(len(refs), -1)
     mapping[first] = second
     return mapping
 
@@ -238,19 +238,19 @@ def _least(
     # A pair of identical pieces is not one of equal chains.
     alike = np.where(identity >= _RELATED, identity * n_matched, 0.0)
     likest = np.maximum(alike.max(axis=1)[:, None], alike.max(axis=0)[None])
-    most = np.maximum(identity.max(axis=1)[:, None], identity.max(axis=0)[None])
-    exchangeable = (identity >= _AS_ALIKE * most) & (alike >= 0.5 * likest) & (alike > 0.0)
+    highest = np.maximum(identity.max(axis=1)[:, None], identity.max(axis=0)[None])
+    exchangeable = (identity >= _AS_ALIKE * highest) & (alike >= 0.5 * likest) & (alike > 0.0)
     exchangeable[np.flatnonzero(first >= 0), first[first >= 0]] = True
     if (exchangeable.sum(axis=0) < 2).all() and (exchangeable.sum(axis=1) < 2).all():
         return first
     points = {}
-    own, other = _alphas(reference), _alphas(model)
+    ref_x, model_x = _alphas(reference), _alphas(model)
     for i, j in np.argwhere(exchangeable).tolist():
         pairs = np.array(aligned[i, j].pairs, dtype=np.int64).reshape(-1, 2)
-        x, y = other[pairs[:, 1]], own[pairs[:, 0]]
-        there = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
-        if there.any():
-            points[i, j] = x[there], y[there]
+        x, y = model_x[pairs[:, 1]], ref_x[pairs[:, 0]]
+        present = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
+        if present.any():
+            points[i, j] = x[present], y[present]
     sums = PairSums.of(points, k, m)
     if not (sums.weight[first >= 0, first[first >= 0]] > 0).all():
         return first  # Of files without C-alphas nothing is measured here.
@@ -267,7 +267,7 @@ def _alphas(s: Structure) -> Floats:
 
 
 def _of_one_fold(
-    reference: Structure, model: Structure, own: list[int], other: list[int], aligned: list[tuple[int, int]]
+    reference: Structure, model: Structure, ref: list[int], query: list[int], aligned: list[tuple[int, int]]
 ) -> tuple[list[tuple[int, int]], float]:
     """Pairs of residues of chains of unrelated sequences, as of designs on one backbone, and the TM-score."""
 
@@ -275,14 +275,14 @@ def _of_one_fold(
         codes = s.residue_insertion_code
         return {(str(s.residue_number[r]), str(codes[r])): r for r in residues}
 
-    first, second = numbers(reference, own), numbers(model, other)
-    both = [(r, second[name]) for name, r in first.items() if name in second]
+    first, second = numbers(reference, ref), numbers(model, query)
+    pairs = [(r, second[name]) for name, r in first.items() if name in second]
     traces = []
-    for s, residues in ((reference, own), (model, other)):
+    for s, residues in ((reference, ref), (model, query)):
         alpha = s.alpha_carbons
         traces.append(_trace(s, alpha[np.isin(s.atom_residue[alpha], residues)]))
-    _, score = _aligned_by_shape(*traces)
-    return (both if len(both) == min(len(own), len(other)) else aligned), score
+    _, score = _tm_scores(*traces)
+    return (pairs if len(pairs) == min(len(ref), len(query)) else aligned), score
 
 
 def _align(first: tuple[str, ...], second: tuple[str, ...]) -> _Alignment:

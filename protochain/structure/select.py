@@ -31,13 +31,13 @@ def select(structure: Structure, selection: str) -> np.ndarray:
 
     def as_group(word: re.Match[str]) -> str:
         name = f"own{len(groups)}"
-        groups[name] = universe.atoms[_OWN[word[1]](structure, word[2] or "")]
+        groups[name] = universe.atoms[_WORDS[word[1]](structure, word[2] or "")]
         return f"group {name}"
 
-    asked = _word(structure).sub(as_group, selection)
+    query = _word(structure).sub(as_group, selection)
     try:
         # MDAnalysis warns of an empty text.
-        chosen = universe.select_atoms(asked, **groups) if asked.strip() else universe.atoms[:0]
+        chosen = universe.select_atoms(query, **groups) if query.strip() else universe.atoms[:0]
     except (SelectionError, ValueError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise StructureError(f"selection {selection!r} cannot be read: {reason}; {_EXAMPLES}") from None
@@ -72,20 +72,20 @@ def moving_mask(structure: Structure, move: str) -> NDArray[np.bool_]:
 
 def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Residues of the two sides of an interface, (nr,) bool each, waters on neither."""
-    found = [_side(structure, each) for each in (first, second)]
-    for mine, other in ((0, 1), (1, 0)):
-        if found[other].selected and not found[mine].selected:
-            found[mine] = _Side(found[mine].residues & ~found[other].residues, selected=False)
-    one, two = (each.residues for each in found)
+    parts = [_side(structure, text) for text in (first, second)]
+    for i, j in ((0, 1), (1, 0)):
+        if parts[j].selected and not parts[i].selected:
+            parts[i] = _Side(parts[i].residues & ~parts[j].residues, selected=False)
+    one, two = (side.residues for side in parts)
     if (one & two).any():
         raise StructureError(
             f"{structure.name}: interface {first}:{second}: "
             f"{structure.describe_residue(int(np.argmax(one & two)))} is on both sides; give other chains"
         )
-    for given, residues in zip((first, second), (one, two), strict=True):
+    for text, residues in zip((first, second), (one, two), strict=True):
         if not residues.any():
             raise StructureError(
-                f"{structure.name}: interface {first}:{second}: nothing is left of side {given!r}; "
+                f"{structure.name}: interface {first}:{second}: nothing is left of side {text!r}; "
                 "give other chains"
             )
     return one, two
@@ -138,19 +138,19 @@ def touching_chains(structure: Any) -> list[tuple[str, str]]:
     return sorted(((a, b) for a, b in pairs), key=lambda pair: [order[name] for name in pair])
 
 
-def contacts(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> Integers:
+def contacts(structure: Structure, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Integers:
     """Residues (n, 2) of two sides, (nr,) bool each, with heavy atoms within 5 angstrom."""
     pairs = _touching(structure)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    return pairs[one[pairs[:, 0]] & other[pairs[:, 1]]]
+    return pairs[first[pairs[:, 0]] & second[pairs[:, 1]]]
 
 
 def _touching(structure: Structure) -> Integers:
     """(n, 2) int: residues with heavy atoms within 5 angstrom, waters aside, the smaller index first."""
-    of = structure.atom_residue
-    (heavy,) = np.nonzero((structure.atom_element != "H") & ~is_water(structure)[of])
+    residue = structure.atom_residue
+    (heavy,) = np.nonzero((structure.atom_element != "H") & ~is_water(structure)[residue])
     pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
-    return np.unique(np.sort(of[pairs], axis=1), axis=0).reshape(-1, 2)
+    return np.unique(np.sort(residue[pairs], axis=1), axis=0).reshape(-1, 2)
 
 
 def is_water(structure: Structure) -> NDArray[np.bool_]:
@@ -163,17 +163,17 @@ class _Side(NamedTuple):
     selected: bool
 
 
-def _side(structure: Structure, given: str) -> _Side:
-    names, known = [each.strip() for each in given.split(",")], structure.residue_chain
-    if {*names} <= {*known.tolist()}:
-        return _Side(np.isin(known, names) & ~is_water(structure), selected=False)
+def _side(structure: Structure, text: str) -> _Side:
+    names, chains = [name.strip() for name in text.split(",")], structure.residue_chain
+    if {*names} <= {*chains.tolist()}:
+        return _Side(np.isin(chains, names) & ~is_water(structure), selected=False)
     mask = np.zeros(structure.n_residues, dtype=bool)
     try:
-        mask[structure.atom_residue[select(structure, given)]] = True
+        mask[structure.atom_residue[select(structure, text)]] = True
     except StructureError:
         raise StructureError(
-            f"{structure.name}: side {given!r} of an interface is no chain, nor a selection with atoms; "
-            f"its chains are {listed([each or '(blank)' for each in dict.fromkeys(known.tolist())])}"
+            f"{structure.name}: side {text!r} of an interface is no chain, nor a selection with atoms; "
+            f"its chains are {listed([name or '(blank)' for name in dict.fromkeys(chains.tolist())])}"
         ) from None
     return _Side(mask & ~is_water(structure), selected=True)
 
@@ -184,10 +184,10 @@ def _ligand(structure: Structure, _: str) -> NDArray[np.bool_]:
             f"{structure.name}: has no ligand of known chemistry that could move; add one with ",
             Argument("ligands"),
         )
-    posed = [each for each in structure.ligands if each.posed]
+    posed = [ligand for ligand in structure.ligands if ligand.posed]
     mask = np.zeros(structure.n_atoms, dtype=bool)
-    for each in posed or structure.ligands:
-        mask[each.atoms] = True
+    for ligand in posed or structure.ligands:
+        mask[ligand.atoms] = True
     return mask
 
 
@@ -204,7 +204,7 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
 _TOUCHING = 0.5
 """nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
-_OWN: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
+_WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
     "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
     "ligand": _ligand, "interface": _interface,
 }  # fmt: skip
@@ -221,33 +221,33 @@ def _word(structure: Structure) -> re.Pattern[str]:
 
 def atoms_at(structure: Structure, place: str) -> Integers:
     """Atoms of a place: -> (n,) int: At least one."""
-    named = re.fullmatch(r"(\S*):(-?\d+\w?)(?::(\S+))?", place)
-    if not named:
+    match = re.fullmatch(r"(\S*):(-?\d+\w?)(?::(\S+))?", place)
+    if not match:
         return np.flatnonzero(select(structure, place))
-    chain, number, atom = named.groups()
+    chain, number, atom = match.groups()
     numbers = np.char.add(structure.residue_number, structure.residue_insertion_code)
     of_chain = structure.residue_chain == chain
-    found = np.flatnonzero(of_chain & (numbers == number))
-    if len(found) > 1:
+    residues = np.flatnonzero(of_chain & (numbers == number))
+    if len(residues) > 1:
         # Waters and ligands may be numbered as residues of the protein are.
-        beside = np.unique(structure.atom_residue[structure.kept])
-        found = np.setdiff1d(found, beside) if len(np.setdiff1d(found, beside)) else found
-    if len(found) != 1:
+        hetero = np.unique(structure.atom_residue[structure.kept])
+        residues = np.setdiff1d(residues, hetero) if len(np.setdiff1d(residues, hetero)) else residues
+    if len(residues) != 1:
         chains = dict.fromkeys(name or "(blank)" for name in structure.residue_chain.tolist())
-        known = f"its chains are {', '.join(chains)}"
+        hint = f"its chains are {', '.join(chains)}"
         if of_chain.any():
-            known = f"chain {chain} has {numbers[of_chain][0]} to {numbers[of_chain][-1]}"
-        how_many = len(found) or "no"
+            hint = f"chain {chain} has {numbers[of_chain][0]} to {numbers[of_chain][-1]}"
+        how_many = len(residues) or "no"
         raise StructureError(
-            f"{structure.name}: {place}: there are {how_many} residues {chain}:{number}; {known}"
+            f"{structure.name}: {place}: there are {how_many} residues {chain}:{number}; {hint}"
         )
-    (atoms,) = np.nonzero(structure.atom_residue == found[0])
+    (atoms,) = np.nonzero(structure.atom_residue == residues[0])
     if atom is None:
         return atoms
-    its = atoms[structure.atom_name[atoms] == atom]
-    if not len(its):
+    selected = atoms[structure.atom_name[atoms] == atom]
+    if not len(selected):
         raise StructureError(
-            f"{structure.name}: {place}: no atom {atom} in {structure.describe_residue(int(found[0]))}; "
+            f"{structure.name}: {place}: no atom {atom} in {structure.describe_residue(int(residues[0]))}; "
             f"its atoms are {' '.join(structure.atom_name[atoms])}"
         )
-    return its
+    return selected

@@ -26,63 +26,63 @@ LETTERS = {letter: name for name, letter in STANDARD.items()}
 
 def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
     """Build side chains anew, on rotamers, all at once, under names by residue; other atoms stay."""
-    made, kept, gone, noted = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
+    model, sources, sites, notes = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
-    places = ((chain, residue) for chain in made[0] for residue in chain)
+    places = ((chain, residue) for chain in model[0] for residue in chain)
     for r, (chain, residue) in enumerate(places):
         atoms = range(first[r], first[r + 1])
         if r not in names:
-            kept += atoms
+            sources += atoms
             continue
         staying = [k for k in atoms if structure.atom_name[k] in _BACKBONE]
-        kept += staying
-        gone.add((chain.name, str(residue.seqid)))
+        sources += staying
+        sites.add((chain.name, str(residue.seqid)))
         for k in reversed([k - first[r] for k in atoms if k not in staying]):
             del residue[k]
         before = structure.residue(r)
         residue.name = name_in_file(names[r], bool(structure.mirrored[r]))
         is_same = residue.name == before.name
         kind = Kind.SIDE_CHAIN_BUILT if is_same else Kind.MUTATED
-        noted.append(Repair(kind, {"residue": before} | ({} if is_same else {"name": residue.name})))
-    made.connections = gemmi.ConnectionList(
+        notes.append(Repair(kind, {"residue": before} | ({} if is_same else {"name": residue.name})))
+    model.connections = gemmi.ConnectionList(
         bond
-        for bond in made.connections
+        for bond in model.connections
         if not any(
-            (end.chain_name, str(end.res_id.seqid)) in gone and end.atom_name not in _BACKBONE
+            (end.chain_name, str(end.res_id.seqid)) in sites and end.atom_name not in _BACKBONE
             for end in (bond.partner1, bond.partner2)
         )
     )
-    number_atoms(made)
-    known = {
-        str(structure.residue_name[structure.atom_residue[each.atoms[0]]]): (
-            replace(each.ligand.molecule, names=tuple(structure.atom_name[each.atoms].tolist())),
-            each.ligand.charged,
+    number_atoms(model)
+    chemistry = {
+        str(structure.residue_name[structure.atom_residue[ligand.atoms[0]]]): (
+            replace(ligand.ligand.molecule, names=tuple(structure.atom_name[ligand.atoms].tolist())),
+            ligand.ligand.charged,
         )
-        for each in structure.ligands
+        for ligand in structure.ligands
     }
     used = ("forcefield", "ph", "ligand_charges", "disulfide")
     reading = reading_of(keep=("all",), **{name: settings[name] for name in used if name in settings})
-    reading = replace(reading, chemistry=replace(reading.chemistry, posed=known))
-    draft = run(Draft(structure.name, structure.name, reading=reading, file=made), READING)
+    reading = replace(reading, chemistry=replace(reading.chemistry, posed=chemistry))
+    draft = run(Draft(structure.name, structure.name, reading=reading, file=model), READING)
     for r in names:
         # Energies and arrays of the old residue are those of the new one if its name stays.
         if draft.members[r].name == structure.residue_name[r]:
             draft.members[r].order = tuple(structure.atom_name[structure.atom_residue == r].tolist())
     new = prepare(draft)
-    return _as_of(new, structure, np.array(kept), noted)
+    return _as_of(new, structure, np.array(sources), notes)
 
 
-def _as_of(new: Structure, old: Structure, kept: np.ndarray, noted: list[Repair]) -> Structure:
+def _as_of(new: Structure, old: Structure, sources: np.ndarray, notes: list[Repair]) -> Structure:
     """The new structure with what is known of the old: whose atoms these are, and what was changed."""
     assert new.origin is not None
-    place = np.where(new.origin.place < 0, -1, kept[new.origin.place])
+    place = np.where(new.origin.place < 0, -1, sources[new.origin.place])
     is_old, x, built = place >= 0, np.array(new.positions), np.array(new.built)
     # Angstrom and back are not the same bits.
     x[is_old], built[is_old] = old.positions[place[is_old]], old.built[place[is_old]]
     origin = old.origin and replace(
         new.origin, atoms=old.origin.atoms, place=np.where(is_old, old.origin.place[place], -1)
     )
-    repairs = *old.repairs, *noted, *(each for each in new.repairs if each.kind is Kind.NOT_PROVEN)
+    repairs = *old.repairs, *notes, *(r for r in new.repairs if r.kind is Kind.NOT_PROVEN)
     return replace(
         new, positions=x, built=built, origin=origin, repairs=repairs, left_out=old.left_out,
         header=old.header, residue_label=old.residue_label, model_number=old.model_number,
@@ -91,7 +91,7 @@ def _as_of(new: Structure, old: Structure, kept: np.ndarray, noted: list[Repair]
 
 def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
     """Put another sequence on the backbone, and build the side chains of a selection anew, or of all."""
-    names = _threaded(structure, sequence) if sequence else {}
+    names = _thread_sequence(structure, sequence) if sequence else {}
     if selection:
         chosen = ~structure.kept
         chosen = chosen if selection == defaults.MOVE else chosen & select(structure, selection)
@@ -103,29 +103,29 @@ def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any
     return substitute(structure, names, **settings) if names else structure
 
 
-def _threaded(structure: Structure, sequence: str) -> dict[int, str]:
+def _thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
     """New names, by index, of the residues whose letters in the sequences of chains are others."""
     (amino,) = np.nonzero(np.bincount(structure.atom_residue, ~structure.kept) > 0)
     amino = amino[~np.isin(structure.residue_name[amino], [*CAPS])]
     chain = structure.residue_chain[amino]
     chains = list(dict.fromkeys(chain.tolist()))
-    given = [(name, letters) for each in sequence.split("/") for name, _, letters in [each.rpartition("=")]]
-    if not {name for name, _ in given} <= {*chains}:
-        if len(given) != len(chains):
+    texts = [(name, letters) for part in sequence.split("/") for name, _, letters in [part.rpartition("=")]]
+    if not {name for name, _ in texts} <= {*chains}:
+        if len(texts) != len(chains):
             raise StructureError(
-                f"{structure.name}: sequence: {len(given)} given, of {listed([n or '-' for n, _ in given])}; "
+                f"{structure.name}: sequence: {len(texts)} given, of {listed([n or '-' for n, _ in texts])}; "
                 f"its chains are {', '.join(chains)}: give one for each, or name them so"
             )
-        given = [(chain, letters) for chain, (_, letters) in zip(chains, given, strict=True)]
+        texts = [(chain, letters) for chain, (_, letters) in zip(chains, texts, strict=True)]
     names = {}
-    for its, letters in given:
-        mine = amino[chain == its].tolist()
-        if len(letters) != len(mine):
+    for chain_id, letters in texts:
+        residues = amino[chain == chain_id].tolist()
+        if len(letters) != len(residues):
             raise StructureError(
-                f"{structure.name}: sequence: {len(letters)} letters for chain {its}, which has "
-                f"{len(mine)} residues; give one for each, - for one that stays"
+                f"{structure.name}: sequence: {len(letters)} letters for chain {chain_id}, which has "
+                f"{len(residues)} residues; give one for each, - for one that stays"
             )
-        for r, letter in zip(mine, letters, strict=True):
+        for r, letter in zip(residues, letters, strict=True):
             now = str(structure.residue_name[r])
             # X stands for a residue without a letter.
             if letter == "-" or letter == STANDARD.get(now, "X"):

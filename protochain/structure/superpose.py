@@ -81,7 +81,7 @@ def ca_rmsd(structure: Any, x: Any, reference: Any) -> float:
     """
     structure = as_structure(structure)
     alpha = structure.alpha_carbons
-    first, second = (_own(structure, each, name) for each, name in ((x, "x"), (reference, "reference")))
+    first, second = (_positions(structure, p, name) for p, name in ((x, "x"), (reference, "reference")))
     return rmsd_angstrom(first[alpha], second[alpha])
 
 
@@ -92,13 +92,13 @@ def displacements(structure: Structure, x: Floats, reference: Floats) -> Floats:
     return np.asarray(ANGSTROM_PER_NM * np.linalg.norm(away, axis=1))
 
 
-def _own(structure: Structure, x: Any, name: str) -> Floats:
+def _positions(structure: Structure, x: Any, name: str) -> Floats:
     """Positions of all atoms of a structure; those of another molecule are refused."""
-    held = getattr(x, "structure", x)
-    if isinstance(held, Structure):
-        if held.fingerprint != structure.fingerprint:
+    source = getattr(x, "structure", x)
+    if isinstance(source, Structure):
+        if source.fingerprint != structure.fingerprint:
             raise ProtochainError(
-                f"{name}: {held.name} has other atoms than {structure.name}; pc.rmsd matches their residues"
+                f"{name}: {source.name} has other atoms than {structure.name}; pc.rmsd matches their residues"
             )
-        return held.positions
+        return source.positions
     return floats(x, (structure.n_atoms, 3), name, "nanometer")

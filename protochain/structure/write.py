@@ -88,11 +88,11 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     path, hydrogens = as_path(path, "path"), flag(hydrogens, "hydrogens")
     check_format(path)
     several = isinstance(structure, list | tuple)
-    models = [as_structure(each) for each in (structure if several else [structure])]
+    models = [as_structure(model) for model in (structure if several else [structure])]
     if not models:
         raise StructureError(f"{path}: no models are given; give at least one structure")
-    for each in models:
-        check_fits(each, path)
+    for model in models:
+        check_fits(model, path)
     _, suffix, packing = split_name(path)
     data = as_text(models, suffix, remarks, hydrogens=hydrogens).encode()
     packed = PACKINGS[packing.lower()](data) if packing else data
@@ -111,37 +111,37 @@ def as_text(
     format_ = SUFFIXES[suffix.lower()]
     if format_ == "PDB" and (short := short_names(models)):
         remarks = [*remarks, *map(_short_name, *zip(*short.items(), strict=True))]
-        models = [_renamed(each, short) for each in models]
+        models = [_with_names(model, short) for model in models]
     out = as_gemmi(models)
     update_entities(out, complete=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
-    repairs = dict.fromkeys(str(repair) for each in models for repair in each.repairs)
+    repairs = dict.fromkeys(str(repair) for model in models for repair in model.repairs)
     return _WRITERS[format_](out, models, remarks, repairs)
 
 
 def short_names(structures: Iterable[Structure]) -> dict[str, str]:
     """Names of three letters that components with longer ones have in a PDB file."""
-    there = {str(name) for each in structures for name in each.residue_name_in_file}
-    found: dict[str, str] = {}
-    for name in sorted(name for name in there if len(name) > _PDB_NAME):
+    used = {str(name) for s in structures for name in s.residue_name_in_file}
+    short: dict[str, str] = {}
+    for name in sorted(name for name in used if len(name) > _PDB_NAME):
         tried = (f"{name[:k]}{n or ''}" for n in range(1000) for k in [_PDB_NAME - len(f"{n or ''}")])
-        found[name] = next(each for each in tried if each not in there)
-        there.add(found[name])
-    return found
+        short[name] = next(code for code in tried if code not in used)
+        used.add(short[name])
+    return short
 
 
 def _short_name(name: str, short: str) -> str:
     return f"component {name} is called {short} here: PDB files have names of three letters"
 
 
-def _renamed(structure: Structure, names: Mapping[str, str]) -> Structure:
+def _with_names(structure: Structure, names: Mapping[str, str]) -> Structure:
     topology = deepcopy(structure.topology)
     for residue in topology.residues():
         residue.name = names.get(residue.name, residue.name)
     header = structure.header
     # No source has the chemistry of a bonded component under the short name.
-    for name in sorted(_bonded(structure) & names.keys()):
+    for name in sorted(_without_template(structure) & names.keys()):
         header = with_component(header, heavy_rows(names[name], of_residue(name, structure.header)))
     return replace(structure, topology=topology, header=header)
 
@@ -161,7 +161,7 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
         # Those with an x are gemmi's, where the file has none.
         changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and old[:-1] != f"{new}x"]
         return [f"{path}: label ids that differ from the file's: {listed(changed, 6)}"] if changed else []
-    for what, values, width in (
+    for field, values, width in (
         ("chain id", structure.residue_chain, 1),
         ("residue number", structure.residue_number, 4),
         ("atom name", structure.atom_name, 4),
@@ -169,7 +169,7 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
     ):
         long = [str(value) for value in values if len(value) > width]
         if long:
-            raise StructureError(f"{path}: {what} {long[0]!r} does not fit a PDB file; write .cif instead")
+            raise StructureError(f"{path}: {field} {long[0]!r} does not fit a PDB file; write .cif instead")
     if structure.n_atoms + structure.topology.getNumChains() > _PDB_SERIALS:
         raise StructureError(f"{path}: {structure.n_atoms} atoms do not fit a PDB file; write .cif instead")
     x = ANGSTROM_PER_NM * structure.positions
@@ -195,19 +195,19 @@ def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
     first = structures[0]
     out = with_header(first.header)
     out.name = first.name
-    numbers = [each.model_number for each in structures]
+    numbers = [s.model_number for s in structures]
     if len(set(numbers)) < len(numbers):
         numbers = list(range(1, len(numbers) + 1))
     for number, structure in zip(numbers, structures, strict=True):
         labels, renamed = _labels(structure)
         out.add_model(_model(structure, number, labels))
     for entity in out.entities:
-        entity.subchains = [new for each in entity.subchains for new in sorted(renamed.get(each, {each}))]
+        entity.subchains = [new for old in entity.subchains for new in sorted(renamed.get(old, {old}))]
     out.connections = gemmi.ConnectionList(_connections(first, out.connections))
     out.cispeps = [
-        each
+        peptide
         for number, structure in zip(numbers, structures, strict=True)
-        for each in _cis_peptides(structure, number)
+        for peptide in _cis_peptides(structure, number)
     ]
     return out
 
@@ -218,22 +218,22 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
         # Parts of a broken chain share its id; gemmi ends each of them.
         gemmi_chain = gemmi.Chain(chain.id)
         for residue in chain.residues():
-            made = gemmi.Residue()
-            made.name = str(structure.residue_name_in_file[residue.index])
-            made.seqid = _seqid(structure, residue.index)
-            kept = structure.kept[next(residue.atoms()).index]
-            is_polymer = not kept or residue.name in NUCLEOTIDES or residue.index in strands
-            made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
-            made.subchain, made.label_seq = labels[residue.index]
+            new_residue = gemmi.Residue()
+            new_residue.name = str(structure.residue_name_in_file[residue.index])
+            new_residue.seqid = _seqid(structure, residue.index)
+            is_hetero = structure.kept[next(residue.atoms()).index]
+            is_polymer = not is_hetero or residue.name in NUCLEOTIDES or residue.index in strands
+            new_residue.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
+            new_residue.subchain, new_residue.label_seq = labels[residue.index]
             for atom in residue.atoms():
-                new = gemmi.Atom()
-                new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
-                new.occ = float(structure.occupancy[atom.index])
-                new.b_iso = float(structure.b_factor[atom.index])
-                new.charge = int(structure.formal_charge[atom.index])
-                new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
-                made.add_atom(new)
-            gemmi_chain.add_residue(made)
+                new_atom = gemmi.Atom()
+                new_atom.name, new_atom.element = atom.name, gemmi.Element(atom.element.symbol)
+                new_atom.occ = float(structure.occupancy[atom.index])
+                new_atom.b_iso = float(structure.b_factor[atom.index])
+                new_atom.charge = int(structure.formal_charge[atom.index])
+                new_atom.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
+                new_residue.add_atom(new_atom)
+            gemmi_chain.add_residue(new_residue)
         model.add_chain(gemmi_chain)
     return model
 
@@ -241,31 +241,31 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
 def _in_strands(structure: Structure) -> set[int]:
     """Residues that a phosphodiester bond joins to others, whatever they are called."""
     ends = np.vstack([structure.bonds, structure.links])
-    names, of = structure.atom_name[ends], structure.atom_residue[ends]
+    names, residue = structure.atom_name[ends], structure.atom_residue[ends]
     along = (names == ["O3'", "P"]).all(axis=1) | (names == ["P", "O3'"]).all(axis=1)
-    return {*of[along & (of[:, 0] != of[:, 1])].ravel().tolist()}
+    return {*residue[along & (residue[:, 0] != residue[:, 1])].ravel().tolist()}
 
 
 def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
     """Label ids of each residue, and new names; without a file's, the parts of a broken chain are apart."""
-    known = structure.residue_label or (NO_LABEL,) * structure.n_residues
-    held = {int(r) for r in structure.atom_residue[structure.kept]}
+    filed = structure.residue_label or (NO_LABEL,) * structure.n_residues
+    hetero = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]
     of_chain: dict[str, set[str]] = {}
     parts: dict[str, list[int]] = {}
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
-        if r not in held:
-            of_chain.setdefault(chain_id, set()).add(known[r][0])
+        if r not in hetero:
+            of_chain.setdefault(chain_id, set()).add(filed[r][0])
             if part not in parts.setdefault(chain_id, []):
                 parts[chain_id].append(part)
     labels: list[Label] = []
     renamed: dict[str, set[str]] = {}
-    known_names = {name for name, _ in known}
+    known_names = {name for name, _ in filed}
     n_parts = Counter(name for name, _ in {*zip(chains, structure.residue_chain_index.tolist(), strict=True)})
-    blank = next(each for each in chained(ascii_uppercase, map(str, count())) if each not in n_parts)
+    blank = next(letter for letter in chained(ascii_uppercase, map(str, count())) if letter not in n_parts)
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
-        name, place = known[r]
-        if r in held:
+        name, place = filed[r]
+        if r in hetero:
             # OpenMM takes label ids for chain ids if there are as many of both.
             is_alone = name in ("", f"{chain_id}x1", f"{chain_id}xp") and chain_id and n_parts[chain_id] == 1
             is_alone = is_alone and chain_id not in known_names
@@ -273,7 +273,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
             continue
         is_one = len(of_chain[chain_id]) == 1
         if is_one and name not in ("", f"{chain_id}xp"):
-            labels.append(known[r])
+            labels.append(filed[r])
             continue
         number = parts[chain_id].index(part) + 1
         new = (chain_id or blank) + (str(number) if number > 1 else "")
@@ -301,17 +301,17 @@ def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> It
     at: dict[tuple[str, str, str], int] = {}
     for k, (r, name) in enumerate(zip(structure.atom_residue.tolist(), structure.atom_name, strict=True)):
         at.setdefault((str(structure.residue_chain[r]), str(_seqid(structure, r)).strip(), str(name)), k)
-    known: dict[tuple[int, int], gemmi.Connection] = {}
+    links: dict[tuple[int, int], gemmi.Connection] = {}
     for link in stated:
         ends = [at.get(address_of(end)) for end in (link.partner1, link.partner2)]
         if None not in ends and ends[0] != ends[1]:
             first, second = sorted(end for end in ends if end is not None)
-            known.setdefault((first, second), link)
-    pairs = [(i, j) for i, j in structure.bonds[_stated(structure)].tolist()]
-    beside = {pair for pair in known if structure.kept[list(pair)].all()} - {*pairs}
-    for n, pair in enumerate([*pairs, *sorted(beside)], 1):
-        link = known.get(pair) or gemmi.Connection()
-        if pair not in known:
+            links.setdefault((first, second), link)
+    pairs = [(i, j) for i, j in structure.bonds[_is_link(structure)].tolist()]
+    hetero_pairs = {pair for pair in links if structure.kept[list(pair)].all()} - {*pairs}
+    for n, pair in enumerate([*pairs, *sorted(hetero_pairs)], 1):
+        link = links.get(pair) or gemmi.Connection()
+        if pair not in links:
             link.type = _link_type(structure, pair)
         link.partner1, link.partner2 = (_address(structure, atom) for atom in pair)
         link.name = f"{_LINK_NAMES.get(link.type, 'link')}{n}"
@@ -324,12 +324,12 @@ _LINK_NAMES = {
 }  # fmt: skip
 
 
-def _stated(structure: Structure) -> NDArray[np.bool_]:
+def _is_link(structure: Structure) -> NDArray[np.bool_]:
     """(nb,) bool: bonds that LINK records state: between residues, unless along a chain of standard ones."""
     ends = structure.atom_residue[structure.bonds]
     standard = np.array([_is_standard(str(name)) for name in structure.residue_name_in_file])
-    one, other = structure.residue_chain[ends].T
-    is_along = (np.diff(ends)[:, 0] == 1) & (one == other) & standard[ends].all(axis=1)
+    first, second = structure.residue_chain[ends].T
+    is_along = (np.diff(ends)[:, 0] == 1) & (first == second) & standard[ends].all(axis=1)
     names = np.sort(structure.atom_name[structure.bonds], axis=1)
     is_joint = (names == ["C", "N"]).all(axis=1) | (names == ["O3'", "P"]).all(axis=1)
     return np.asarray((ends[:, 0] != ends[:, 1]) & ~(is_along & is_joint))
@@ -361,17 +361,17 @@ def _cis_peptides(structure: Structure, number: int) -> Iterator[gemmi.CisPep]:
         places = (gemmi.Position(*structure.positions[k]) for k in at)
         omega = float(np.degrees(gemmi.calculate_dihedral(*places)))
         if abs(omega) < _CIS:
-            found = gemmi.CisPep()
-            found.partner_c, found.partner_n = _address(structure, c), _address(structure, n)
-            found.model_num, found.reported_angle = number, omega
-            yield found
+            peptide = gemmi.CisPep()
+            peptide.partner_c, peptide.partner_n = _address(structure, c), _address(structure, n)
+            peptide.model_num, peptide.reported_angle = number, omega
+            yield peptide
 
 
-def _whole(out: gemmi.Structure) -> gemmi.Structure:
+def _merge_parts(out: gemmi.Structure) -> gemmi.Structure:
     """Return a copy in which the parts of a broken chain are one: they share sequence and label ids."""
-    whole = out.clone()
-    whole.merge_chain_parts()
-    return whole
+    merged = out.clone()
+    merged.merge_chain_parts()
+    return merged
 
 
 def _mmcif(
@@ -381,11 +381,11 @@ def _mmcif(
     head.atoms, atoms.atoms, atoms.group_pdb, atoms.auth_all = False, True, True, True
     # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
     head.cell = head.symmetry = out.cell.is_crystal()
-    document = _whole(out).make_mmcif_document(head)
+    document = _merge_parts(out).make_mmcif_document(head)
     block = document.sole_block()
     quote_names(block)
     chemistry = _chemistry(models[0])
-    about = cif_rows(models[0].header, out, _moved(models[0], out), chemistry)
+    about = cif_rows(models[0].header, out, _label_map(models[0], out), chemistry)
     put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
@@ -405,8 +405,8 @@ def _pdb(
 ) -> str:
     chemistry = _chemistry(models[0])
     drawn = {row["comp_id"] for row in chemistry.get(_BONDS, ())}
-    bonded = _bonded(models[0]) - drawn
-    before, names, whole = pdb_lines(models[0].header, out, chemistry, bonded)
+    bonded = _without_template(models[0]) - drawn
+    before, names, complete = pdb_lines(models[0].header, out, chemistry, bonded)
     lines = [
         *before,
         *(
@@ -419,14 +419,14 @@ def _pdb(
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     order = orders(models[0].header, chemistry)
     # Orders of a component that no remark states are those of the dictionary.
-    _draw(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in whole})
+    _draw(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in complete})
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
     atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True, conect_records=True)
     # Columns 61-66 are blank where the B factor is not known.
     written = str(out.make_pdb_string(atoms)).replace("   NaN          ", " " * 16)
-    return with_names(str(_whole(out).make_pdb_string(head)), names) + written
+    return with_names(str(_merge_parts(out).make_pdb_string(head)), names) + written
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
@@ -435,54 +435,54 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
     residues = [residue for chain in out[0] for residue in chain]
     serial = [{atom.name: atom.serial for atom in residue} for residue in residues]
     drawn = [
-        each.entity_type == gemmi.EntityType.NonPolymer
-        or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
-        for each in residues
+        r.entity_type == gemmi.EntityType.NonPolymer
+        or (r.entity_type == gemmi.EntityType.Polymer and not _is_standard(r.name))
+        for r in residues
     ]
     # A bonded molecule whose chemistry is written is drawn as the bonds to others leave it: hydrogens and
     # orders agree. Others are read again as the dictionary has them.
     bonded, stated = _in_fragments(structure), {component for component, *_ in order}
-    for (i, j), is_link in zip(structure.bonds.tolist(), _stated(structure).tolist(), strict=True):
+    for (i, j), is_link in zip(structure.bonds.tolist(), _is_link(structure).tolist(), strict=True):
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
         ends = serial[first].get(names[0]), serial[second].get(names[1])
         # Hydrogens may have been left out.
         if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
             component = str(structure.residue_name[first])
-            known = order.get((component, min(names), max(names)), 1)
+            bond_order = order.get((component, min(names), max(names)), 1)
             if component in stated:
-                known = bonded.get((i, j), known)
-            out.add_conect(ends[0], ends[1], 1 if is_link else known)
+                bond_order = bonded.get((i, j), bond_order)
+            out.add_conect(ends[0], ends[1], 1 if is_link else bond_order)
 
 
-def _bonded(structure: Structure) -> set[str]:
+def _without_template(structure: Structure) -> set[str]:
     """Names of the residues that no template fits."""
-    atoms = [k for each in structure.fragments for k in each.atoms.tolist() if k >= 0]
+    atoms = [k for fragment in structure.fragments for k in fragment.atoms.tolist() if k >= 0]
     return {str(structure.residue_name[structure.atom_residue[k]]) for k in atoms}
 
 
 def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:
     """Order of each bond of the residues that no template fits, by the atoms of the structure."""
-    found: dict[tuple[int, int], int] = {}
-    for each in structure.fragments:
-        molecule = each.ligand.molecule
-        for pair, order in zip(each.atoms[molecule.bonds].tolist(), molecule.orders.tolist(), strict=True):
-            found[min(pair), max(pair)] = order
-    return found
+    bond_orders: dict[tuple[int, int], int] = {}
+    for part in structure.fragments:
+        molecule = part.ligand.molecule
+        for pair, order in zip(part.atoms[molecule.bonds].tolist(), molecule.orders.tolist(), strict=True):
+            bond_orders[min(pair), max(pair)] = order
+    return bond_orders
 
 
 def _chemistry(structure: Structure) -> dict[str, Rows]:
     """Tables of the ligands whose chemistry is known, of each component once."""
-    found: dict[str, Rows] = {}
-    named: set[str] = set()
-    for each in structure.ligands:
-        component = str(structure.residue_name[structure.atom_residue[each.atoms[0]]])
-        if component not in named:
-            named.add(component)
-            names = tuple(structure.atom_name[each.atoms].tolist())
-            for category, its in rows(component, replace(each.ligand.molecule, names=names)).items():
-                found.setdefault(category, []).extend(its)
-    return found
+    tables: dict[str, Rows] = {}
+    components: set[str] = set()
+    for ligand in structure.ligands:
+        component = str(structure.residue_name[structure.atom_residue[ligand.atoms[0]]])
+        if component not in components:
+            components.add(component)
+            names = tuple(structure.atom_name[ligand.atoms].tolist())
+            for category, table in rows(component, replace(ligand.ligand.molecule, names=names)).items():
+                tables.setdefault(category, []).extend(table)
+    return tables
 
 
 def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[str]) -> dict[str, Rows]:
@@ -503,33 +503,33 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[s
     complete = complete | {
         row["comp_id"] for row in table if _is_standard(gemmi.cif.as_string(row["comp_id"]))
     }
-    groups = {name: [*map(itemgetter(1, 2), its)] for name, its in groupby(pairs, key=itemgetter(0))}
+    groups = {name: [*map(itemgetter(1, 2), group)] for name, group in groupby(pairs, key=itemgetter(0))}
     for name in sorted(groups, key=_is_standard):
-        of = gemmi.cif.quote(name)
-        if of in complete or (_is_standard(name) and not table):
+        comp = gemmi.cif.quote(name)
+        if comp in complete or (_is_standard(name) and not table):
             continue
         try:
-            known = heavy_rows(name, from_dictionary(name))
+            heavy = heavy_rows(name, from_dictionary(name))
         except ProtochainError:
-            known = {}
-        is_stated = any(row["comp_id"] == of for row in atoms)
-        if not (known or is_stated):
+            heavy = {}
+        is_stated = any(row["comp_id"] == comp for row in atoms)
+        if not (heavy or is_stated):
             continue
         # The names of hydrogens depend on the pH and on bonds to other residues.
-        gone = {gemmi.cif.quote(atom) for atom in structure.atom_name[light & (names == name)].tolist()}
-        stated = [row for row in atoms if row["comp_id"] == of]
-        gone |= {row.get("atom_id", "?") for row in stated if row.get("type_symbol") in ("H", "D")}
-        atoms = [row for row in atoms if row["comp_id"] != of or row.get("atom_id", "?") not in gone]
-        table = [row for row in table if row["comp_id"] != of or (is_stated and not _ends(row) & gone)]
+        hydrogens = {gemmi.cif.quote(atom) for atom in structure.atom_name[light & (names == name)].tolist()}
+        stated = [row for row in atoms if row["comp_id"] == comp]
+        hydrogens |= {row.get("atom_id", "?") for row in stated if row.get("type_symbol") in ("H", "D")}
+        atoms = [row for row in atoms if row["comp_id"] != comp or row.get("atom_id", "?") not in hydrogens]
+        table = [row for row in table if row["comp_id"] != comp or (is_stated and not _ends(row) & hydrogens)]
         if not (is_stated or _is_standard(name)):
-            atoms, table = atoms + known[_ATOMS], table + known[_BONDS]
-        orders = {_ends(row): row["value_order"] for row in known.get(_BONDS, ())}
-        drawn = {_ends(row) for row in table if row["comp_id"] == of}
+            atoms, table = atoms + heavy[_ATOMS], table + heavy[_BONDS]
+        orders = {_ends(row): row["value_order"] for row in heavy.get(_BONDS, ())}
+        drawn = {_ends(row) for row in table if row["comp_id"] == comp}
         for first, second in (map(gemmi.cif.quote, pair) for pair in groups[name]):
             pair = frozenset((first, second))
             if pair not in drawn:
                 order = orders.get(pair, ORDERS[1])
-                table.append({"comp_id": of, "atom_id_1": first, "atom_id_2": second, "value_order": order})
+                table.append({"comp_id": comp, "atom_id_1": first, "atom_id_2": second, "value_order": order})
     return {**about, _ATOMS: atoms, _BONDS: table}
 
 
@@ -540,11 +540,11 @@ def _ends(row: Mapping[str, str]) -> frozenset[str]:
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:
     """Springs of all models; none where they differ."""
-    first, *others = (of_structure(each) for each in models)
-    return first if all(each == first for each in others) else []
+    first, *later = (of_structure(model) for model in models)
+    return first if all(springs == first for springs in later) else []
 
 
-def _moved(structure: Structure, out: gemmi.Structure) -> dict[Label, Label]:
+def _label_map(structure: Structure, out: gemmi.Structure) -> dict[Label, Label]:
     """Label ids as they are written, of those of the file."""
     written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
     return dict(zip(structure.residue_label, written, strict=True)) if structure.residue_label else {}
