@@ -258,7 +258,7 @@ class FragmentBuilder:
         prefix += ":"
         if a not in self.graph.atoms:
             raise StructureError(f"its chemistry has no {short}")
-        _, freed = self.graph.drop_groups(a, self._absent_at(a), self.flagged)
+        _, freed = self.graph.drop_groups(a, self._leaver(a), self.flagged)
         self.graph.free_valences(a, 1, freed, ())
         for name, z in atoms.items():
             self.graph.atoms[prefix + name] = [z, 0]
