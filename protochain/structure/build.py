@@ -9,7 +9,7 @@ from protochain.structure.preparation.prepare import prepare
 from protochain.structure.preparation.structure_draft import Draft, Part
 
 PROLINE_PHI = -70.0
-"""Degrees. Proline's ring holds phi near this value; at the extended -120 the ring would not close."""
+"""Degrees. The ring of proline fixes phi near this value, and would not close at the extended -120."""
 
 
 def from_sequence(sequence: str) -> Structure:
@@ -18,7 +18,7 @@ def from_sequence(sequence: str) -> Structure:
     Parameters
     ----------
     sequence : str
-        One-letter codes of the 20 standard amino acids, upper or lower case; blanks are ignored.
+        One-letter codes of the 20 standard amino acids, upper or lower case. Blanks are ignored.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def from_sequence(sequence: str) -> Structure:
     >>> pc.from_sequence("GAG").n_atoms
     27
     """
-    # Imported here: it imports Biopython, which would slow every start of the program.
+    # Imported here because Biopython would slow every start of the program.
     import PeptideBuilder
 
     letters = "".join(text(sequence, "sequence").split()).upper()

@@ -1,10 +1,10 @@
-"""Which chain of a model stands for which of a reference, where several have the same sequence.
+"""Map chains of a model to chains of a reference if several have the same sequence.
 
-Names say nothing of where such chains are, as of haemoglobin's two of each kind. As in AlphaFold-Multimer
-(Evans et al., bioRxiv 2021.10.04.463034) the structures are superposed on one pair of chains, and the others
-are paired by where they then are; here by linear assignment, for each pair, and again after a superposition
-on all pairs found, as by iterative closest points (Besl, McKay, IEEE T-PAMI 14:239, 1992). The number of
-superpositions grows with the square of the number of chains, not with its factorial.
+Names of such chains are arbitrary, as of haemoglobin's two of each kind. As in AlphaFold-Multimer (Evans et
+al., bioRxiv 2021.10.04.463034) the structures are superposed on one pair of chains, and the other chains are
+paired by position. Here linear assignment pairs them, for each start, and again after superposition on all
+pairs, as in iterative closest points (Besl, McKay, IEEE T-PAMI 14:239, 1992). The number of superpositions
+grows with the square of the number of chains, not with its factorial.
 """
 
 from collections.abc import Iterator
@@ -17,18 +17,18 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.structure.superpose import motion_of
 
 _ROUNDS = 20
-"""Superpositions after one start; each lowers the sum of squares, and mostly two are enough."""
+"""Superpositions after one start. Each lowers the sum of squares, and mostly two are enough."""
 _STARTS = 400
-"""Pairs of chains to begin with: all up to 20 equal chains; of more those of the first of the reference."""
+"""Initial pairs of chains: all pairs of 20 equal chains. With more, the first chains of the reference."""
 _SAME = 1e-9
-"""Of the sum of squares about the origin: mappings whose deviations differ by less are the same."""
+"""Fraction of the sum of squares about the origin. Mappings with smaller differences are equal."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairSums(Value):
-    """Sums over points of pairs of k chains and m, by which any of them are superposed."""
+    """Sums over points of pairs of k and m chains, for the superposition of any pairs."""
 
-    weight: Floats  # (k, m): Number of points; 0 for chains that may not be paired.
+    weight: Floats  # (k, m): Number of points, or 0 for chains that may not be paired.
     model: Floats  # (k, m, 3): Sums of the points of the model and of the reference.
     reference: Floats
     across: Floats  # (k, m, 3, 3): Sums of products of points of the reference with points of the model.
@@ -36,7 +36,7 @@ class PairSums(Value):
 
     @classmethod
     def of(cls, points: dict[tuple[int, int], tuple[Floats, Floats]], k: int, m: int) -> "PairSums":
-        """Sum points (n, 3) of model and reference by their chains (i, j); pairs of one chain count alike."""
+        """Sum points (n, 3) of model and reference by chains (i, j). Pairs of one chain have equal weight."""
         weight, square = np.zeros((2, k, m))
         model, reference, across = np.zeros((k, m, 3)), np.zeros((k, m, 3)), np.zeros((k, m, 3, 3))
         size = [max((len(x) for (i, _), (x, _) in points.items() if i == row), default=0) for row in range(k)]
@@ -82,7 +82,7 @@ def least_deviation(sums: PairSums, first: Integers) -> Integers:
 
 
 def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:
-    """Mappings of one chain each."""
+    """Initial mappings of one chain each."""
     rows, columns = (indices[:_STARTS].tolist() for indices in np.nonzero(allowed))
     for row, column in zip(rows, columns, strict=True):
         start = np.full(len(allowed), -1)
@@ -91,13 +91,13 @@ def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:
 
 
 def _refine(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> Integers:
-    """Mapping of all chains, superposed and assigned in turn until it stays."""
+    """Superpose and assign chains in turn until the mapping is stable."""
     from scipy.optimize import linear_sum_assignment
 
     for _ in range(_ROUNDS):
         (rows,) = np.nonzero(mapping >= 0)
         off = sums.deviations(*sums.motion(rows, mapping[rows]))
-        # Beyond any sum of pairs that are allowed, so that as many of these as can be are found.
+        # Larger than any sum of allowed pairs, so that as many of them as possible are assigned.
         beyond = 1.0 + 2.0 * len(off) * float(np.abs(off[allowed]).max())
         first, second = linear_sum_assignment(np.where(allowed, off, beyond))
         assigned = np.full(len(mapping), -1)
@@ -110,7 +110,7 @@ def _refine(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> In
 
 
 def _mean_square(sums: PairSums, mapping: Integers) -> float:
-    """Mean square deviation of the pairs of a mapping, superposed on all of them."""
+    """Mean square deviation of the pairs of a mapping after superposition on all pairs."""
     (rows,) = np.nonzero(mapping >= 0)
     columns = mapping[rows]
     if not len(rows):

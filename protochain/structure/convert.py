@@ -31,11 +31,11 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     ----------
     source : Structure, path-like, or an object of another library
         A gemmi Structure, an mdtraj Trajectory (first frame), an MDAnalysis Universe or AtomGroup (current
-        frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged; of a
-        Chain or a result, that which it holds, of several minima the lowest. Energy and hinges do not come
-        along: hand on the result itself where they should.
+        frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged. A Chain
+        or a result returns its structure, of several minima the lowest. Its energy and hinges are not
+        included. To reuse them, pass on the result itself.
     name : str
-        Short name for a source that is no file.
+        Short name for a source other than a file.
     **settings
         Options of :func:`protochain.load`.
 
@@ -55,8 +55,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     10
     """
     content = getattr(source, "structure", source)
-    content = content() if inspect.ismethod(content) else content  # Of a search the first, lowest minimum.
-    # A comparison has several ends beside the structure of its start, and no best.
+    content = content() if inspect.ismethod(content) else content  # For a search, the lowest minimum.
+    # A comparison has several end structures besides its start, and no best.
     if isinstance(content, Structure) and (hasattr(source, "best") or not hasattr(source, "solutions")):
         return content
     if isinstance(source, str | Path):
@@ -75,10 +75,10 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory
 
     Parameters
     ----------
-    structure : Structure, or anything that :func:`as_structure` takes
-        Structure that gives the topology.
+    structure : Structure, or anything that :func:`as_structure` accepts
+        Structure with the topology.
     frames : (n, na, 3) float, nm, optional
-        Positions of each frame, as ``Solution.frames``; by default one frame, the structure's.
+        Positions of each frame, as ``Solution.frames``. By default one frame with the structure's positions.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def to_mdanalysis(structure: Any, frames: Floats | None = None) -> MDAnalysis.Un
 
     Parameters
     ----------
-    structure : Structure, or anything that :func:`as_structure` takes
+    structure : Structure, or anything that :func:`as_structure` accepts
         Structure to convert.
     frames : (n, na, 3) float, nm, optional
         Positions of each frame, as for :func:`to_mdtraj`.

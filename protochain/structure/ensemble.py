@@ -1,4 +1,4 @@
-"""A structure prepared once, for all frames of an ensemble: each frame's atoms as the structure has them."""
+"""A structure, prepared once, with the positions of each frame of an ensemble."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,23 +24,23 @@ from protochain.structure.preparation.protonate import BONDED
 from protochain.structure.write import as_gemmi
 
 _TORN = 1.0
-"""nm. No bond of a model, however bad, is that long: atoms are in two images of a box, or are others."""
+"""nm. Longer bonds have atoms in two images of a box, or other atoms, even in bad models."""
 _BROKEN = "it is of other atoms, or broken across a box that the file does not state"
 _NEAREST = 0.02
-"""nm. A fifth of the shortest bond: nearer, a bond has no direction."""
+"""nm. A fifth of the shortest bond. Shorter bonds have no direction."""
 _FARTHEST = 1e4
-"""nm, as of atoms in files."""
+"""nm. Largest coordinate, as in files."""
 _CONTACT = 0.6
-"""nm between atoms of molecules that touch."""
+"""nm. Largest distance between atoms of molecules in contact."""
 _OF_FRAMES = ("N", "CA", "C", "O")
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble(Value):
-    """A structure, and which atoms of a frame are its own."""
+    """A structure and the places of its atoms in frames."""
 
-    structure: Structure  # Prepared once: all frames have its atoms, bonds and protonation.
-    # (na,) int: Place of each of its atoms in a frame; -1 of one that is placed anew in each.
+    structure: Structure  # Prepared once. All frames have its atoms, bonds and protonation.
+    # (na,) int: Place of each of its atoms in a frame, or -1 for atoms that are placed in each frame.
     place: Integers
     # Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
     settings: Mapping[str, Any]
@@ -52,21 +52,21 @@ class Ensemble(Value):
     def of(
         cls, structure: Structure, frames: Frames, settings: Mapping[str, Any] | None = None
     ) -> "Ensemble":
-        """Find a structure's atoms in frames by name, else in the order of its file, or its own."""
+        """Find the atoms of a structure in frames by name, or in the order of its file or of itself."""
         return cls(structure, _places(structure, frames), dict(settings or {}))
 
     def at(self, frame: Frame) -> Structure:
-        """Return the structure at a frame, molecules made whole, atoms that it lacks placed."""
+        """Return the structure at a frame with whole molecules and all missing atoms placed."""
         return self.structure.with_positions(self._positions(frame))
 
     def gap(self, x: Floats) -> float | None:
-        """Largest distance, nm, of a molecule of a frame from those that it touches in the structure."""
+        """Largest distance, nm, in a frame between molecules that are in contact in the structure."""
         distances = [float(np.min(KDTree(x[a]).query(x[b])[0])) for a, b in self._touching]
         return max(distances, default=None)
 
     @cached_property
     def _touching(self) -> list[tuple[Integers, Integers]]:
-        """Atoms of molecules, and of all before them, that are in contact in the structure."""
+        """Atoms of earlier molecules and of each molecule in contact with them in the structure."""
         x = self.structure.positions
         molecules = self._molecules
         pairs = [(np.concatenate(molecules[:k]), molecules[k]) for k in range(1, len(molecules))]
@@ -74,7 +74,7 @@ class Ensemble(Value):
 
     @cached_property
     def _molecules(self) -> list[Integers]:
-        """Atoms that frames have of each molecule."""
+        """Atoms of each molecule that frames have."""
         molecule = self._outward[2][self._present]
         return [self._present[molecule == m] for m in dict.fromkeys(molecule.tolist())]
 
@@ -98,7 +98,7 @@ class Ensemble(Value):
             cause = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
             separation = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
             raise StructureError(f"{first} and {second} are bonded, but {separation}: {cause}")
-        # As in a file: a hydrogen that is away from what it is bonded to is placed anew.
+        # As in a file, a hydrogen too far from its parent is placed again.
         loose = np.unique(self._bonds[ANGSTROM_PER_NM * lengths > BONDED])
         x[loose[s.atom_element[loose] == "H"]] = np.nan
         if not np.isnan(x).any():
@@ -126,7 +126,7 @@ class Ensemble(Value):
 
     @cached_property
     def _outward(self) -> tuple[Integers, Integers, Integers]:
-        """Atoms and their parents, each parent before its children; molecule of each atom."""
+        """Atoms and their parents, each parent before its children, and the molecule of each atom."""
         n = self.structure.n_atoms
         graph = coo_array((np.ones(len(self._bonds)), self._bonds.T), (n, n)).tocsr()
         _, molecule = connected_components(graph, directed=False)
@@ -140,7 +140,7 @@ class Ensemble(Value):
         return first, second, third
 
     def _make_whole(self, x: Floats, box: Floats) -> Floats:
-        """Bring each atom to the image that is nearest to the one that it is bonded to."""
+        """Move each atom to the image nearest to its bonded parent."""
         atoms, parents, _ = self._outward
         turns = np.round((x[atoms] - x[parents]) @ np.linalg.inv(box))
         if not turns.any():
@@ -151,7 +151,7 @@ class Ensemble(Value):
         return np.asarray(x + shift @ box)
 
     def _gather(self, x: Floats, box: Floats) -> Floats:
-        """Bring molecules that touch none of those before them to an image that does, if there is one."""
+        """Move molecules without contact to earlier molecules to an image with contact, if there is one."""
         molecules = self._molecules
         for k, atoms in enumerate(molecules[1:], 1):
             turns = touching_image(KDTree(x[np.concatenate(molecules[:k])]), x[atoms], box, _CONTACT)
@@ -161,7 +161,7 @@ class Ensemble(Value):
         return x
 
     def _rebuild(self, x: Floats) -> Floats:
-        """Build what the frame lacks, as the preparation of a file with it would; all but other hydrogens."""
+        """Build atoms that the frame lacks, as for a file. Hydrogens without a match stay missing."""
         s, model = self.structure, as_gemmi([self.structure])
         k = 0
         for residue in (residue for chain in model[0] for residue in chain):

@@ -1,4 +1,4 @@
-"""Ligands of a structure as an SDF file, with orders and charges that its files may lack; files of poses."""
+"""Write ligands to SDF files, with bond orders and charges, and read files of poses."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -26,24 +26,24 @@ def save_ligands(
 ) -> None:
     """Write the ligands of a structure to an SDF file, a record for each.
 
-    Title, fields and the order of atoms are those of the file that was given, hydrogens that the pH added
-    come last. Without a title it is name, chain and number of the residue, and of a pose the file and record
-    it is from, as ``LIG B 1 poses.sdf#2``. The field ``source`` tells where orders and charges are from, and
-    ``protochain_residue`` the residue. Of a ligand bonded to the protein, ``protochain_bonds`` has the bonds,
-    whose valences are open in the record. Atoms that left are absent. A result adds
-    ``protochain_energy_kj_mol`` of the whole structure, ``protochain_status``, and of the ligand
-    ``protochain_strain_kj_mol``, unless it is bonded, and ``protochain_rmsd_angstrom``.
+    Title, fields and the order of atoms are from the input file. Hydrogens added for the pH come last. The
+    default title is name, chain and number of the residue, and for a pose its file and record, as ``LIG B 1
+    poses.sdf#2``. The field ``source`` is the source of orders and charges, and ``protochain_residue`` the
+    residue. For a ligand bonded to the protein, ``protochain_bonds`` lists the bonds. Their valences are open
+    in the record, and leaving atoms are absent. A result adds ``protochain_energy_kj_mol`` of the structure,
+    ``protochain_status``, ``protochain_rmsd_angstrom`` of the ligand, and ``protochain_strain_kj_mol`` if
+    the ligand is not bonded.
 
     Parameters
     ----------
-    structure : Structure, Solution, Relaxation, or anything that :func:`protochain.as_structure` takes
-        One with ``ligands``; of a result, its end.
+    structure : Structure, Solution, Relaxation, or anything that :func:`protochain.as_structure` accepts
+        A structure with ``ligands``, or a result, whose end is written.
     path : path-like
         Ends in ``.sdf``.
     sources : path-like, or sequence of such
-        Files of poses, of which alone records are written; by default of all.
+        Files of poses whose records are written. By default all ligands are written.
     others : bool
-        Whether records of the other ligands follow those of ``sources``.
+        Whether records of the other ligands follow the records of ``sources``.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def save_ligands(
 
 
 def check_ligand_file(path: Path) -> None:
-    """Refuse a name that tells another format."""
+    """Refuse a name with the suffix of another format."""
     if path.suffix.lower() != ".sdf":
         raise StructureError(f"{path}: ligands are written as SDF; give a name that ends in .sdf")
 
@@ -84,7 +84,7 @@ def ligand_text(
     include_others: bool = False,
     measured: Sequence[Mapping[str, str]] = (),
 ) -> str:
-    """Return the text that :func:`save_ligands` writes; ``measured`` are fields of each ligand."""
+    """Return the text that :func:`save_ligands` writes. ``measured`` has fields of each ligand."""
     check_ligands(structure)
     chem, blocks, chosen = library("rdkit.Chem"), [], {str(Path(p)) for p in sources}
     ligands = [(ligand.ligand.molecule, ligand.atoms, ligand.posed) for ligand in structure.ligands]
@@ -110,9 +110,9 @@ def ligand_text(
 
 
 def bonded_ligands(structure: Structure) -> list[tuple[Molecule, Integers]]:
-    """Return the molecules beside the protein that bonds join to others, with their atoms of the structure.
+    """Return the hetero molecules bonded to other molecules, with their atoms in the structure.
 
-    Orders of bonds and charges are those of the bonded state. Valences of the bonds to others are open.
+    Bond orders and charges are of the bonded state. Valences of the bonds to other molecules are open.
     Nucleotides of strands are not among the molecules.
     """
     ligands = []
@@ -128,7 +128,7 @@ def bonded_ligands(structure: Structure) -> list[tuple[Molecule, Integers]]:
 
 
 def _part(molecule: Molecule, atoms: Integers) -> Molecule:
-    """Some atoms of a molecule, without stereo, which their positions show."""
+    """Some atoms of a molecule, without stereochemistry, which follows from the positions."""
     place = np.full(molecule.n_atoms, -1)
     place[atoms] = np.arange(len(atoms))
     inside = (place[molecule.bonds] >= 0).all(axis=1)
@@ -141,7 +141,7 @@ def _part(molecule: Molecule, atoms: Integers) -> Molecule:
 
 
 def _bonds_outward(structure: Structure, atoms: Integers) -> list[str]:
-    """Bonds of a molecule to others, without springs of metals."""
+    """Bonds of a molecule to other molecules, without springs of metals."""
     is_end = np.isin(structure.bonds, atoms)
     rows = structure.bonds[(is_end[:, 0] != is_end[:, 1]) & ~structure.coordination]
     return [f"{structure.atom(j)} and {structure.atom_name[i]}" for i, j in (
@@ -150,11 +150,11 @@ def _bonds_outward(structure: Structure, atoms: Integers) -> list[str]:
 
 
 def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
-    """Atoms of a molecule at x (na, 3) nm in the order of the file, those that the file lacks last."""
+    """Atoms of a molecule at x (na, 3) nm in the order of the file, with additional atoms last."""
     heavy = molecule.heavy
     names = tuple(molecule.names[i] for i in heavy)
     if _heavy_graph(molecule) != _heavy_graph(filed):
-        # The names are those of a model: coordinates show which atom is which.
+        # The names are from a model, so coordinates identify the atoms.
         try:
             filed = copy_names(filed, molecule.elements[heavy], names, x[heavy])
         except StructureError:
@@ -167,7 +167,7 @@ def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
         else:
             (parent,) = filed_bonded[k]
             at = [j for j in bonded[molecule.names.index(filed.names[parent])] if molecule.elements[j] == 1]
-            # The hydrogen of this name, or else the next one that none beside it has.
+            # The hydrogen of this name, or else the next one with an unused name.
             siblings = {filed.names[i] for i in filed_bonded[parent]}
             at = [j for j in at if molecule.names[j] == name] or [
                 j for j in at if j not in order and molecule.names[j] not in siblings
@@ -184,7 +184,7 @@ def _heavy_graph(molecule: Molecule) -> tuple[dict[str, int], set[frozenset[str]
 
 
 def _fields(filed: str, added: Mapping[str, object]) -> str:
-    """Fields of a record: those of the file, without values of an earlier run, then those that are added."""
+    """Fields of a record: the fields of the file without earlier results, then the added fields."""
     blocks = [block for block in re.split(r"\n(?=>)", filed) if block.strip()]
     names = [re.search(r"<([^<>]*)>", block.split("\n")[0]) for block in blocks]
     stated = {name[1] for name in names if name}
@@ -198,7 +198,7 @@ _PREFIX = "protochain_"
 
 
 def poses(path: Path) -> list[str]:
-    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one."""
+    """Sources of the poses of a folder or file. A file with one molecule is its own source."""
     if path.is_dir():
         files = sorted(child for child in path.iterdir() if child.suffix.lower() in MOLECULE_SUFFIXES)
         return [pose for file in files for pose in poses(file)]
@@ -207,7 +207,7 @@ def poses(path: Path) -> list[str]:
 
 
 def are_several(source: str) -> bool:
-    """Whether a source is a folder of poses, or a file with several; one that cannot be read is none."""
+    """Whether a source is a folder of poses or a readable file with several poses."""
     try:
         return Path(source).is_dir() or len(poses(Path(source))) > 1
     except StructureError:

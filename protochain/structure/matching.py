@@ -1,4 +1,4 @@
-"""Corresponding residues of two structures, and what can be measured of files of C-alpha atoms only."""
+"""Corresponding residues of two structures, and structures of files with only C-alpha atoms."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,14 +20,14 @@ from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.preparation.trace import alpha_trace
 
 _RELATED = 0.3
-"""Of the positions of an alignment, gaps between them included: identity from which on sequences are related.
-Sander, Schneider, Proteins 9:56 (1991), and Rost, Protein Eng. 12:85 (1999), for some 80 residues. Of some
-2500 unrelated pairs of chains of 20 to 750 residues one had more; hundreds would, if gaps did not count."""
+"""Least identity of related sequences, over the positions of an alignment with inner gaps. Sander, Schneider,
+Proteins 9:56 (1991), and Rost, Protein Eng. 12:85 (1999), for some 80 residues. One of some 2500 unrelated
+pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps did not count."""
 _ONE_FOLD = 0.5
-"""TM-score from which on two chains have one fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
+"""Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
 _AS_ALIKE = 0.95
-"""Share of the identity with the likest chain from which on a chain may stand in its place; OpenStructure
-takes chains for equal from an identity of 0.95 on."""
+"""Least identity of exchangeable chains, relative to the most similar chain. OpenStructure regards chains as
+equal from an identity of 0.95 on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class Match(Value):
 
     reference: Integers  # (n,) int: Indices of paired residues, in the order of the reference.
     model: Integers
-    # ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned; ``fold`` if they
-    # are unrelated, but one fold has both: then by numbers if these agree, whatever the names.
+    # ``numbers`` if chains, numbers and names agree, ``sequence`` if sequences were aligned, ``fold`` for
+    # unrelated sequences of the same fold, paired by numbers if these agree, whatever the names.
     how: str
     identity: float  # Fraction of pairs with the same residue name.
     coverage: float  # Fraction of the reference's amino acids that are matched.
@@ -45,7 +45,7 @@ class Match(Value):
 
     @property
     def chain_mapping(self) -> str:
-        """Paired chains in one text, as ``A:B,B:A``; a blank id is ``_``."""
+        """Paired chains in one text, as ``A:B,B:A``, with ``_`` for a blank id."""
         return ",".join(f"{first or '_'}:{second or '_'}" for first, second in self.chains)
 
 
@@ -58,7 +58,7 @@ class _Alignment(NamedTuple):
 
 
 def match(reference: Structure, model: Structure) -> Match:
-    """Pair residues by chain, number and name, else by alignment (BLOSUM62); like chains for least RMSD."""
+    """Pair residues by chain, number and name, or by alignment (BLOSUM62), equal chains by least RMSD."""
     refs, models = _by_chain(reference), _by_chain(model)
     numbered = _numbered_pairs(reference, model)
     if not refs or not models:
@@ -112,7 +112,7 @@ def _make_match(
 
 
 def tm_score(reference: Structure, model: Structure, matching: Match | None = None) -> float:
-    """TM-score of the C-alphas, by tmtools, normalised by the reference's length, in its order."""
+    """TM-score of the C-alphas by tmtools, normalised by and in the order of the reference."""
     ids = [chain for _, chain in matching.chains] if matching else []
     rank = {name: k for k, name in enumerate(ids)}
     alpha = model.alpha_carbons
@@ -122,11 +122,11 @@ def tm_score(reference: Structure, model: Structure, matching: Match | None = No
 
 
 def _tm_scores(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tuple[float, float]:
-    """TM-scores of two traces, normalised by the length of the reference, and by that of the shorter one."""
+    """TM-scores of two traces, normalised by the length of the reference, and of the shorter trace."""
     import tmtools
 
     (x, sequence), (y, model_sequence) = reference, model
-    # Its time grows with their extents, of which it says nothing.
+    # The run time of tmtools grows with the extents, which it does not document.
     if (
         min(len(sequence), len(model_sequence)) < 3
         or max(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()) > _FARTHEST
@@ -137,11 +137,11 @@ def _tm_scores(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tupl
 
 
 _FARTHEST = 1000.0
-"""Angstrom; no assembly is that long."""
+"""Angstrom. Every assembly is shorter."""
 
 
 def measurable(source: Any) -> Structure:
-    """Structure of anything that can be measured; of a file, its first model."""
+    """Return the structure of a measurable source, or the first model of a file."""
     if not isinstance(source, str | Path):
         return as_structure(source)
     first_model = next(structure for _, structure in models_of(source, first=True))
@@ -153,7 +153,7 @@ def measurable(source: Any) -> Structure:
 def models_of(
     path: str | Path, first: bool = False
 ) -> Iterator[tuple[int | None, Structure | StructureError]]:
-    """Numbers and structures of all models of a file, or of its first; standard input is read only once."""
+    """Numbers and structures of all models of a file, or of its first. Standard input is read once."""
     source = "standard input" if Path(path) == STANDARD_INPUT else str(path)
     try:
         parsed = parse(Path(path))[0]
@@ -170,7 +170,7 @@ def models_of(
 
 
 def _numbered_pairs(reference: Structure, model: Structure) -> list[tuple[int, int]]:
-    """Pairs of amino acids of equal chain, number and name, if every residue of one structure is in one."""
+    """Pairs of amino acids of equal chain, number and name, if one structure is paired completely."""
     names, model_names = _names(reference), _names(model)
     place = {name: r for r, name in enumerate(model_names)}
     pairs = [(r, place[name]) for r, name in enumerate(names) if name in place]
@@ -185,7 +185,7 @@ def _names(s: Structure) -> list[tuple[str, ...]]:
 
 
 def _by_chain(s: Structure) -> dict[str, list[int]]:
-    """Amino acids of each chain id; a broken chain is one sequence."""
+    """Amino acids of each chain id. A broken chain is one sequence."""
     chains: dict[str, list[int]] = {}
     for r in range(s.n_residues):
         if str(s.residue_name[r]) in STANDARD:
@@ -196,7 +196,7 @@ def _by_chain(s: Structure) -> dict[str, list[int]]:
 def _alignments(
     refs: dict[str, list[int]], models: dict[str, list[int]], reference: Structure, model: Structure
 ) -> dict[tuple[int, int], _Alignment]:
-    """Alignments of all pairs of chains; those of equal sequences are made once."""
+    """Alignments of all pairs of chains, computed once for equal sequences."""
     unique: dict[tuple[tuple[str, ...], tuple[str, ...]], _Alignment] = {}
     alignments = {}
     for i, ref in enumerate(refs.values()):
@@ -213,7 +213,7 @@ def _alignments(
 def _by_score(
     refs: dict[str, list[int]], models: dict[str, list[int]], aligned: Mapping[tuple[int, int], _Alignment]
 ) -> Integers:
-    """Chains (k,) of the model for the largest sum of scores, -1 for none; unrelated ones by their ids."""
+    """Chains (k,) of the model with the largest sum of scores, or -1. Unrelated chains pair by id."""
     from scipy.optimize import linear_sum_assignment
 
     related = np.array(
@@ -231,11 +231,11 @@ def _by_score(
 def _least(
     reference: Structure, model: Structure, aligned: Mapping[tuple[int, int], _Alignment], first: Integers
 ) -> Integers:
-    """Mapping of chains with the least RMSD, of chains that are as alike as those of the first one."""
+    """Mapping of chains with the least RMSD, among chains as similar as in the first mapping."""
     k, m = (1 + max(pair[side] for pair in aligned) for side in (0, 1))
     identity = np.array([[aligned[i, j].identity for j in range(m)] for i in range(k)])
     n_matched = np.array([[len(aligned[i, j].pairs) for j in range(m)] for i in range(k)])
-    # A pair of identical pieces is not one of equal chains.
+    # Chains with identical pieces need not be equal.
     alike = np.where(identity >= _RELATED, identity * n_matched, 0.0)
     likest = np.maximum(alike.max(axis=1)[:, None], alike.max(axis=0)[None])
     highest = np.maximum(identity.max(axis=1)[:, None], identity.max(axis=0)[None])
@@ -253,12 +253,12 @@ def _least(
             points[i, j] = x[present], y[present]
     sums = PairSums.of(points, k, m)
     if not (sums.weight[first >= 0, first[first >= 0]] > 0).all():
-        return first  # Of files without C-alphas nothing is measured here.
+        return first  # Without C-alphas there is no RMSD.
     return least_deviation(sums, first)
 
 
 def _alphas(s: Structure) -> Floats:
-    """Positions (nr, 3) of the C-alphas about their centre, nm; NaN where there is none."""
+    """Positions (nr, 3) of the C-alphas about their centre, nm, or NaN."""
     alpha = s.alpha_carbons
     x = np.full((s.n_residues, 3), np.nan)
     if len(alpha):
@@ -269,7 +269,7 @@ def _alphas(s: Structure) -> Floats:
 def _of_one_fold(
     reference: Structure, model: Structure, ref: list[int], query: list[int], aligned: list[tuple[int, int]]
 ) -> tuple[list[tuple[int, int]], float]:
-    """Pairs of residues of chains of unrelated sequences, as of designs on one backbone, and the TM-score."""
+    """Pairs of residues of chains with unrelated sequences, as designs on one backbone, and the TM-score."""
 
     def numbers(s: Structure, residues: list[int]) -> dict[tuple[str, str], int]:
         codes = s.residue_insertion_code
@@ -295,7 +295,7 @@ def _align(first: tuple[str, ...], second: tuple[str, ...]) -> _Alignment:
         i += length if kind in "MI" else 0
         j += length if kind in "MD" else 0
     same = sum(first[a] == second[b] for a, b in pairs)
-    # From the first aligned residue to the last: what a sequence has beyond the other is no difference.
+    # From the first aligned residue to the last, because overhangs are not differences.
     positions = sum(pairs[-1]) - sum(pairs[0]) - len(pairs) + 2 if pairs else 1
     return _Alignment(float(result.score), pairs, same / positions)
 

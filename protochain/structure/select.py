@@ -17,9 +17,9 @@ from protochain.structure.molecule.model import Structure
 
 
 def select(structure: Structure, selection: str) -> np.ndarray:
-    """Select atoms: -> (na,) bool: Mask of the selected atoms."""
+    """Return the mask (na,) bool of the selected atoms."""
     mask = np.zeros(structure.n_atoms, dtype=bool)
-    if _RANGES.fullmatch(selection):  # As mutations give them: without the half second to import MDAnalysis.
+    if _RANGES.fullmatch(selection):  # From mutations. Spares half a second to import MDAnalysis.
         for first, last in re.findall(r"(\d+):(\d+)", selection):
             mask[int(first) : int(last) + 1] = True
         if mask.any():
@@ -52,13 +52,13 @@ _EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 
 
 
 def move_argument(source: Any) -> dict[str, str]:
-    """Argument ``move`` that a chain or a result brings; none of anything else."""
+    """Return the argument ``move`` of a chain or a result as keywords."""
     move = getattr(getattr(source, "chain", source), "move", None)
     return {"move": move} if isinstance(move, str) else {}
 
 
 def moving_mask(structure: Structure, move: str) -> NDArray[np.bool_]:
-    """Atoms (na,) that a selection lets move; ``all`` but obstacles."""
+    """Return the mask (na,) of the moving atoms of a selection. Obstacles never move."""
     free = ~structure.obstacle
     if move == defaults.MOVE:
         return free
@@ -109,12 +109,12 @@ def split_sides(structure: Structure, interface: str) -> tuple[str, str]:
 
 
 def touching_chains(structure: Any) -> list[tuple[str, str]]:
-    """List the pairs of chains of which heavy atoms are within 5 angstrom, waters aside.
+    """List the pairs of chains with heavy atoms within 5 angstrom, without waters.
 
     Parameters
     ----------
-    structure : Structure, or anything that :func:`protochain.as_structure` takes
-        Complex to look at.
+    structure : Structure, or anything that :func:`protochain.as_structure` accepts
+        Complex to examine.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def contacts(structure: Structure, first: NDArray[np.bool_], second: NDArray[np.
 
 
 def _touching(structure: Structure) -> Integers:
-    """(n, 2) int: residues with heavy atoms within 5 angstrom, waters aside, the smaller index first."""
+    """(n, 2) int: residues with heavy atoms within 5 angstrom, without waters, the smaller index first."""
     residue = structure.atom_residue
     (heavy,) = np.nonzero((structure.atom_element != "H") & ~is_water(structure)[residue])
     pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
@@ -154,7 +154,7 @@ def _touching(structure: Structure) -> Integers:
 
 
 def is_water(structure: Structure) -> NDArray[np.bool_]:
-    """(nr,) bool."""
+    """(nr,) bool: waters."""
     return np.asarray(structure.residue_name == "HOH")
 
 
@@ -203,16 +203,16 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
 _TOUCHING = 0.5
-"""nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
+"""nm. Largest distance of heavy atoms of residues in contact, as in CAPRI."""
 _WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
     "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
     "ligand": _ligand, "interface": _interface,
 }  # fmt: skip
-"""Words that MDAnalysis does not have."""
+"""Selection words that MDAnalysis lacks."""
 
 
 def _word(structure: Structure) -> re.Pattern[str]:
-    """One of them, of an interface with its sides, if they are given; not as a part of another word."""
+    """Pattern of these words, with the sides of an interface if present, but not inside other words."""
     chain = "|".join(re.escape(name) for name in {*structure.residue_chain.tolist()} if name) or "(?!)"
     side = rf"(?!(?:and|or)\b)(?:{chain}|[\w,]+)"
     of = rf"(?<=e)\s+([\w,]+:[\w,]+|{side}\s+{side})"
@@ -220,7 +220,7 @@ def _word(structure: Structure) -> re.Pattern[str]:
 
 
 def atoms_at(structure: Structure, place: str) -> Integers:
-    """Atoms of a place: -> (n,) int: At least one."""
+    """Return the atoms (n,) int of a place, at least one."""
     match = re.fullmatch(r"(\S*):(-?\d+\w?)(?::(\S+))?", place)
     if not match:
         return np.flatnonzero(select(structure, place))
@@ -229,7 +229,7 @@ def atoms_at(structure: Structure, place: str) -> Integers:
     of_chain = structure.residue_chain == chain
     residues = np.flatnonzero(of_chain & (numbers == number))
     if len(residues) > 1:
-        # Waters and ligands may be numbered as residues of the protein are.
+        # Waters and ligands may have numbers of protein residues.
         hetero = np.unique(structure.atom_residue[structure.kept])
         residues = np.setdiff1d(residues, hetero) if len(np.setdiff1d(residues, hetero)) else residues
     if len(residues) != 1:

@@ -1,4 +1,4 @@
-"""Side chains taken off and built anew, on rotamers: of the same residues, or of others in their place."""
+"""Rebuild side chains on rotamers, for the same or for substituted residues."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,7 +25,7 @@ LETTERS = {letter: name for name, letter in STANDARD.items()}
 
 
 def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
-    """Build side chains anew, on rotamers, all at once, under names by residue; other atoms stay."""
+    """Rebuild side chains on rotamers, all at once, under new names by residue. Other atoms stay."""
     model, sources, sites, notes = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
     places = ((chain, residue) for chain in model[0] for residue in chain)
@@ -65,7 +65,7 @@ def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) 
     reading = replace(reading, chemistry=replace(reading.chemistry, posed=chemistry))
     draft = run(Draft(structure.name, structure.name, reading=reading, file=model), READING)
     for r in names:
-        # Energies and arrays of the old residue are those of the new one if its name stays.
+        # If the name stays, arrays and energies of the new residue have the order of the old one.
         if draft.members[r].name == structure.residue_name[r]:
             draft.members[r].order = tuple(structure.atom_name[structure.atom_residue == r].tolist())
     new = prepare(draft)
@@ -73,11 +73,11 @@ def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) 
 
 
 def _as_of(new: Structure, old: Structure, sources: np.ndarray, notes: list[Repair]) -> Structure:
-    """The new structure with what is known of the old: whose atoms these are, and what was changed."""
+    """Return the new structure with the origin, repairs and header of the old one."""
     assert new.origin is not None
     place = np.where(new.origin.place < 0, -1, sources[new.origin.place])
     is_old, x, built = place >= 0, np.array(new.positions), np.array(new.built)
-    # Angstrom and back are not the same bits.
+    # Conversion to angstrom and back changes bits.
     x[is_old], built[is_old] = old.positions[place[is_old]], old.built[place[is_old]]
     origin = old.origin and replace(
         new.origin, atoms=old.origin.atoms, place=np.where(is_old, old.origin.place[place], -1)
@@ -90,7 +90,7 @@ def _as_of(new: Structure, old: Structure, sources: np.ndarray, notes: list[Repa
 
 
 def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
-    """Put another sequence on the backbone, and build the side chains of a selection anew, or of all."""
+    """Thread another sequence onto the backbone, and rebuild the side chains of a selection, or all."""
     names = _thread_sequence(structure, sequence) if sequence else {}
     if selection:
         chosen = ~structure.kept
@@ -104,7 +104,7 @@ def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any
 
 
 def _thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
-    """New names, by index, of the residues whose letters in the sequences of chains are others."""
+    """New names, by index, of the residues whose letters in the sequences differ."""
     (amino,) = np.nonzero(np.bincount(structure.atom_residue, ~structure.kept) > 0)
     amino = amino[~np.isin(structure.residue_name[amino], [*CAPS])]
     chain = structure.residue_chain[amino]

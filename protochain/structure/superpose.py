@@ -18,7 +18,7 @@ def superpose(x: Floats, reference: Floats) -> Floats:
 
 
 def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) that superpose points onto a reference; of none, no motion."""
+    """Rotation (3, 3) and translation (3,) that superpose points onto a reference, or no motion of none."""
     if not len(x):
         return np.eye(3), np.zeros(3)
     centre, own_centre = reference.mean(axis=0), x.mean(axis=0)
@@ -58,7 +58,7 @@ def ca_rmsd(structure: Any, x: Any, reference: Any) -> float:
 
     Parameters
     ----------
-    structure : Structure, or anything that :func:`protochain.as_structure` takes
+    structure : Structure, or anything that :func:`protochain.as_structure` accepts
         Structure whose C-alpha atoms are compared.
     x, reference : (na, 3) float, nm, or Structure
         Positions of all its atoms.
@@ -71,7 +71,7 @@ def ca_rmsd(structure: Any, x: Any, reference: Any) -> float:
     Raises
     ------
     ProtochainError
-        If positions are those of other atoms.
+        If positions are of other atoms.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def displacements(structure: Structure, x: Floats, reference: Floats) -> Floats:
 
 
 def _positions(structure: Structure, x: Any, name: str) -> Floats:
-    """Positions of all atoms of a structure; those of another molecule are refused."""
+    """Positions of all atoms of a structure. Positions of another molecule are refused."""
     source = getattr(x, "structure", x)
     if isinstance(source, Structure):
         if source.fingerprint != structure.fingerprint:

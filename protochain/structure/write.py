@@ -1,4 +1,4 @@
-"""Writing of structures to PDB or mmCIF files, whole or not at all."""
+"""Write structures to PDB or mmCIF files, completely or not at all."""
 
 import textwrap
 from collections import Counter
@@ -46,38 +46,38 @@ _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: range of eight columns with three decimals."""
 _PDB_NAME = 3
-"""Letters of the name of a residue."""
+"""Letters of a residue name."""
 _PDB_SERIALS = 99_999
-"""Largest serial number of an atom in five columns; the end of each chain takes one."""
+"""Largest serial number of an atom in five columns. The end of each chain has one, too."""
 _ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
 
 def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> None:
-    """Write a structure to a file, with what its source said of it.
+    """Write a structure to a file, with the header of its source.
 
     Chain ids, numbers, insertion codes, occupancies, B factors, title, unit cell, sequences, helices and
-    strands are those of the source, cis peptides those of the coordinates. The structure's repairs are
-    written as REMARK 3, or in the category ``_protochain_repair``.
+    strands are from the source, cis peptides from the coordinates. The structure's repairs are written as
+    REMARK 3, or in the category ``_protochain_repair``.
 
     Parameters
     ----------
-    structure : Structure, Chain, Solution, or anything that :func:`protochain.as_structure` takes
-        Structure to write; a list or tuple of several of one source become the models of one file.
+    structure : Structure, Chain, Solution, or anything that :func:`protochain.as_structure` accepts
+        Structure to write. A list or tuple of structures of one source becomes the models of one file.
     path : path-like
-        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif``, ``.mmcif`` and ``.pdbx``; packed if ``.gz``,
-        ``.bz2`` or ``.xz`` follows. PDB rounds positions to 0.001 angstrom, by which a protein's energy
-        changes by tenths of a kJ/mol; mmCIF keeps 1e-7.
+        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif``, ``.mmcif`` and ``.pdbx``, compressed if ``.gz``,
+        ``.bz2`` or ``.xz`` follows. PDB rounds positions to 0.001 angstrom, which changes the energy of a
+        protein by tenths of a kJ/mol. mmCIF rounds to 1e-7.
     remarks : iterable of str
         Lines of provenance, written as REMARK 3 or in the category ``_protochain_provenance``.
     hydrogens : bool
-        Whether to write them.
+        Whether to write hydrogens.
 
     Raises
     ------
     StructureError
-        If there is no model, the suffix is unknown, or the structure does not fit the format.
+        If no model is passed, the suffix is unknown, or the structure does not fit the format.
 
     Examples
     --------
@@ -121,7 +121,7 @@ def as_text(
 
 
 def short_names(structures: Iterable[Structure]) -> dict[str, str]:
-    """Names of three letters that components with longer ones have in a PDB file."""
+    """Three-letter names in a PDB file of components with longer names."""
     used = {str(name) for s in structures for name in s.residue_name_in_file}
     short: dict[str, str] = {}
     for name in sorted(name for name in used if len(name) > _PDB_NAME):
@@ -154,11 +154,11 @@ def check_format(path: Path) -> None:
 
 
 def check_fits(structure: Structure, path: Path) -> list[str]:
-    """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another."""
+    """Refuse a structure that does not fit the columns of a PDB file. It would be truncated or misread."""
     if format_of(path) != "PDB":
         now = (label for label, _ in _labels(structure)[0])
         pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
-        # Those with an x are gemmi's, where the file has none.
+        # Label ids with an x are from gemmi, if the file has none.
         changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and old[:-1] != f"{new}x"]
         return [f"{path}: label ids that differ from the file's: {listed(changed, 6)}"] if changed else []
     for field, values, width in (
@@ -215,7 +215,7 @@ def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
 def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.Model:
     model, strands = gemmi.Model(number), _in_strands(structure)
     for chain in structure.topology.chains():
-        # Parts of a broken chain share its id; gemmi ends each of them.
+        # Parts of a broken chain share its id. gemmi ends each part.
         gemmi_chain = gemmi.Chain(chain.id)
         for residue in chain.residues():
             new_residue = gemmi.Residue()
@@ -239,7 +239,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
 
 
 def _in_strands(structure: Structure) -> set[int]:
-    """Residues that a phosphodiester bond joins to others, whatever they are called."""
+    """Residues with phosphodiester bonds to other residues, whatever their names."""
     ends = np.vstack([structure.bonds, structure.links])
     names, residue = structure.atom_name[ends], structure.atom_residue[ends]
     along = (names == ["O3'", "P"]).all(axis=1) | (names == ["P", "O3'"]).all(axis=1)
@@ -247,7 +247,7 @@ def _in_strands(structure: Structure) -> set[int]:
 
 
 def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
-    """Label ids of each residue, and new names; without a file's, the parts of a broken chain are apart."""
+    """Label ids of each residue, and renamed ids. By default parts of a broken chain have their own."""
     filed = structure.residue_label or (NO_LABEL,) * structure.n_residues
     hetero = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]
@@ -266,7 +266,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
         name, place = filed[r]
         if r in hetero:
-            # OpenMM takes label ids for chain ids if there are as many of both.
+            # OpenMM reads label ids as chain ids if there are as many of both.
             is_alone = name in ("", f"{chain_id}x1", f"{chain_id}xp") and chain_id and n_parts[chain_id] == 1
             is_alone = is_alone and chain_id not in known_names
             labels.append((chain_id if is_alone else name or f"{chain_id}x{part}", place))
@@ -297,7 +297,7 @@ def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
 
 
 def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> Iterator[gemmi.Connection]:
-    """Bonds between residues, but not along a chain, and what the file states of molecules left out."""
+    """Bonds between residues, without bonds along a chain, and stated bonds between hetero molecules."""
     at: dict[tuple[str, str, str], int] = {}
     for k, (r, name) in enumerate(zip(structure.atom_residue.tolist(), structure.atom_name, strict=True)):
         at.setdefault((str(structure.residue_chain[r]), str(_seqid(structure, r)).strip(), str(name)), k)
@@ -325,7 +325,7 @@ _LINK_NAMES = {
 
 
 def _is_link(structure: Structure) -> NDArray[np.bool_]:
-    """(nb,) bool: bonds that LINK records state: between residues, unless along a chain of standard ones."""
+    """(nb,) bool: bonds of LINK records: between residues, except along chains of standard residues."""
     ends = structure.atom_residue[structure.bonds]
     standard = np.array([_is_standard(str(name)) for name in structure.residue_name_in_file])
     first, second = structure.residue_chain[ends].T
@@ -368,7 +368,7 @@ def _cis_peptides(structure: Structure, number: int) -> Iterator[gemmi.CisPep]:
 
 
 def _merge_parts(out: gemmi.Structure) -> gemmi.Structure:
-    """Return a copy in which the parts of a broken chain are one: they share sequence and label ids."""
+    """Return a copy that joins the parts of a broken chain, which share sequence and label ids."""
     merged = out.clone()
     merged.merge_chain_parts()
     return merged
@@ -379,7 +379,7 @@ def _mmcif(
 ) -> str:
     head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
     head.atoms, atoms.atoms, atoms.group_pdb, atoms.auth_all = False, True, True, True
-    # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
+    # With a cell of 1 angstrom, the placeholder, some programs would treat the chain as periodic.
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _merge_parts(out).make_mmcif_document(head)
     block = document.sole_block()
@@ -418,19 +418,19 @@ def _pdb(
     ]
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     order = orders(models[0].header, chemistry)
-    # Orders of a component that no remark states are those of the dictionary.
+    # Without a remark the dictionary has the orders of a component.
     _draw(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in complete})
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
     atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True, conect_records=True)
-    # Columns 61-66 are blank where the B factor is not known.
+    # Columns 61-66 are blank if the B factor is unknown.
     written = str(out.make_pdb_string(atoms)).replace("   NaN          ", " " * 16)
     return with_names(str(_merge_parts(out).make_pdb_string(head)), names) + written
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
-    """Give CONECT records to bonds between residues, and of components that programs need not know."""
+    """Add CONECT records for bonds between residues, and in components that programs may not know."""
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]
     serial = [{atom.name: atom.serial for atom in residue} for residue in residues]
@@ -439,14 +439,14 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         or (r.entity_type == gemmi.EntityType.Polymer and not _is_standard(r.name))
         for r in residues
     ]
-    # A bonded molecule whose chemistry is written is drawn as the bonds to others leave it: hydrogens and
-    # orders agree. Others are read again as the dictionary has them.
+    # Bonded molecules with written chemistry have the orders of the bonded state, in agreement with their
+    # hydrogens. Other molecules have the orders of the dictionary.
     bonded, stated = _in_fragments(structure), {component for component, *_ in order}
     for (i, j), is_link in zip(structure.bonds.tolist(), _is_link(structure).tolist(), strict=True):
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
         ends = serial[first].get(names[0]), serial[second].get(names[1])
-        # Hydrogens may have been left out.
+        # Hydrogens may be missing.
         if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
             component = str(structure.residue_name[first])
             bond_order = order.get((component, min(names), max(names)), 1)
@@ -472,7 +472,7 @@ def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:
 
 
 def _chemistry(structure: Structure) -> dict[str, Rows]:
-    """Tables of the ligands whose chemistry is known, of each component once."""
+    """Tables of the ligands of known chemistry, once for each component."""
     tables: dict[str, Rows] = {}
     components: set[str] = set()
     for ligand in structure.ligands:
@@ -486,11 +486,11 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
 
 
 def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[str]) -> dict[str, Rows]:
-    """Add bonds and charges of the components that move, unless the tables have all of them.
+    """Add bonds and charges of the mobile components, unless the tables are complete.
 
-    OpenMM reads no others, except of standard residues. Heavy atoms are those of the free component, as in
-    the PDB's own tables. Hydrogens are those of the structure. PyMOL requires the bonds of standard
-    components if a file has those of others.
+    OpenMM reads no other bonds, except in standard residues. Heavy atoms are from the free component, as in
+    the tables of the PDB. Hydrogens are from the structure. PyMOL requires the bonds of standard components
+    if a file has bonds of other components.
     """
     names = structure.residue_name_in_file[structure.atom_residue]
     inside = np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0
@@ -515,7 +515,7 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[s
         is_stated = any(row["comp_id"] == comp for row in atoms)
         if not (heavy or is_stated):
             continue
-        # The names of hydrogens depend on the pH and on bonds to other residues.
+        # Names of hydrogens depend on the pH and on bonds to other residues.
         hydrogens = {gemmi.cif.quote(atom) for atom in structure.atom_name[light & (names == name)].tolist()}
         stated = [row for row in atoms if row["comp_id"] == comp]
         hydrogens |= {row.get("atom_id", "?") for row in stated if row.get("type_symbol") in ("H", "D")}
@@ -539,13 +539,13 @@ def _ends(row: Mapping[str, str]) -> frozenset[str]:
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:
-    """Springs of all models; none where they differ."""
+    """Springs of all models, or none if they differ."""
     first, *later = (of_structure(model) for model in models)
     return first if all(springs == first for springs in later) else []
 
 
 def _label_map(structure: Structure, out: gemmi.Structure) -> dict[Label, Label]:
-    """Label ids as they are written, of those of the file."""
+    """Written label ids, by label ids of the file."""
     written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
     return dict(zip(structure.residue_label, written, strict=True)) if structure.residue_label else {}
 
