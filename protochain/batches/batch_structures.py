@@ -173,8 +173,8 @@ def batch(
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
     common = BatchSettings(tuple(methods)).changed(**settings)
-    at = Path(output), Path(manifest) if manifest else None
-    return run_batch(paths, common, *at, resume, processes, watch, force=force)
+    locations = Path(output), Path(manifest) if manifest else None
+    return run_batch(paths, common, *locations, resume, processes, watch, force=force)
 
 
 def relax_files(
@@ -311,15 +311,15 @@ def _line(rows: Sequence[Row]) -> str:
     for record in (row.record for row in rows):
         if "output" in record and record["status"] not in ("killed", "error"):  # These are of its page.
             is_relaxed = "n_rounds" in record
-            before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
-            mended = f"violations {before} to {after}, " if is_relaxed else ""
+            before, after = (record.get(f"violations_{stage}") for stage in ("start", "end"))
+            violations = f"violations {before} to {after}, " if is_relaxed else ""
             rmsd = record["ca_rmsd_angstrom"]  # none without C-alphas, as of DNA
-            moved = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
+            displacement = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
             motion = record.get("ligand_rmsd_angstrom")
-            moved += "" if motion is None else f"ligand RMSD {motion:.2f} angstrom, "
+            displacement += "" if motion is None else f"ligand RMSD {motion:.2f} angstrom, "
             line = (
-                f"{record['method']} {record['status']}, {mended}"
-                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, {moved}{record['seconds']:.1f} s"
+                f"{record['method']} {record['status']}, {violations}"
+                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, {displacement}{record['seconds']:.1f} s"
             )
             n = record.get("n_lost_atoms", 0)
             line += f", lost {n} atom{'s' * (n > 1)}" if n else ""

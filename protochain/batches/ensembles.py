@@ -133,14 +133,14 @@ def cluster_frames(
 
 def rmsds(x: Sequence[Floats]) -> Floats:
     """(m, m) RMSD of all pairs of m superposed sets of points (n, 3), in their unit."""
-    at = np.array([frame - frame.mean(axis=0) for frame in x])
-    square, distances = np.sum(at**2, axis=(1, 2)), np.zeros((len(at), len(at)))
-    for i in range(1, len(at)):
-        covariance = np.einsum("na,mnb->mab", at[i], at[:i])
+    points = np.array([frame - frame.mean(axis=0) for frame in x])
+    square, distances = np.sum(points**2, axis=(1, 2)), np.zeros((len(points), len(points)))
+    for i in range(1, len(points)):
+        covariance = np.einsum("na,mnb->mab", points[i], points[:i])
         sums = np.linalg.svd(covariance, compute_uv=False)
         sums[:, 2] *= np.sign(np.linalg.det(covariance))
-        left = square[i] + square[:i] - 2.0 * sums.sum(axis=1)
-        distances[i, :i] = distances[:i, i] = np.sqrt(np.maximum(left, 0.0) / at.shape[1])
+        squares = square[i] + square[:i] - 2.0 * sums.sum(axis=1)
+        distances[i, :i] = distances[:i, i] = np.sqrt(np.maximum(squares, 0.0) / points.shape[1])
     return distances
 
 
@@ -161,9 +161,9 @@ def fluctuations(x: list[Floats]) -> Floats:
     """RMS deviations (n,), angstrom, of m sets of points (n, 3), nm, superposed on their mean."""
     mean = x[0]
     for _ in range(_ROUNDS):
-        at = np.array([superpose(frame, mean) for frame in x])
-        mean = read_only(at.mean(axis=0))
-    return np.asarray(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((at - mean) ** 2, axis=2), axis=0)))
+        conformers = np.array([superpose(frame, mean) for frame in x])
+        mean = read_only(conformers.mean(axis=0))
+    return np.asarray(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((conformers - mean) ** 2, axis=2), axis=0)))
 
 
 def _backbone(structure: Structure) -> Integers:

@@ -152,15 +152,15 @@ class _Files:
         self.checkpoint = checkpoint_of(table)
         self._saved = partial(saving, table, "the frames done before")
         check_writable(table)
-        resumed = self._read_checkpoint(resume, force)
-        self.counts: Counter[str] = Counter(resumed["counts"])
-        self.n_rows, self.n_sound = resumed["rows"], resumed["sound"]
+        state = self._read_checkpoint(resume, force)
+        self.counts: Counter[str] = Counter(state["counts"])
+        self.n_rows, self.n_sound = state["rows"], state["sound"]
         table.parent.mkdir(parents=True, exist_ok=True)
         self.trajectory: TrajectoryFile | None = None
         self.topology: Path | None = None
         if trajectory is not None:
             binary = trajectory.with_suffix(".dcd") if _in_text(trajectory) else trajectory
-            place = tuple(resumed["trajectory"]) if resumed["trajectory"] else None
+            place = tuple(state["trajectory"]) if state["trajectory"] else None
             self.trajectory = TrajectoryFile(
                 binary, ensemble.structure, resume_at=place, hydrogens=hydrogens or _in_text(trajectory)
             )
@@ -168,7 +168,7 @@ class _Files:
                 self.topology = _topology_path(trajectory, ensemble)
                 save(ensemble.structure, self.topology, hydrogens=hydrogens)
         with writing(table):
-            self.rows = GrowingTable(table, _columns(task, trajectory), resumed["bytes"])
+            self.rows = GrowingTable(table, _columns(task, trajectory), state["bytes"])
         self.saved_at = monotonic()
         self.save_checkpoint()
 

@@ -50,8 +50,8 @@ def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """Sort rows: without a result, not converged, converged, and in each the most damaged first."""
     by = next((name for name in _WORST if name in table and table[name].notna().any()), "frame")
     severity = np.select([~_usable(table), table["status"] != "converged"], [0, 1], 2)
-    far = -table[by].astype(float) if by != "frame" else table[by]
-    return table.assign(_bad=severity, _far=far).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
+    order = -table[by].astype(float) if by != "frame" else table[by]
+    return table.assign(_bad=severity, _far=order).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
 
 
 def _usable(table: pd.DataFrame) -> pd.Series:
@@ -62,24 +62,24 @@ def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
     """Curves against the frame. Start and end of a quantity share a panel."""
     pairs: dict[str, dict[str, str]] = {}
     for name in map(str, numbers):
-        when = next((when for when in ("start", "end_reference", "end") if f"_{when}" in name), "")
-        quantity = name.replace(f"_{when}", "") if when else name
-        pairs.setdefault(quantity, {})[when.split("_")[0]] = name
-    drawn = sorted(pairs, key=lambda name: not name.startswith(_FIRST))[:_MOST_FIGURES]
-    if not drawn or len(frame) < 2:
+        stage = next((stage for stage in ("start", "end_reference", "end") if f"_{stage}" in name), "")
+        quantity = name.replace(f"_{stage}", "") if stage else name
+        pairs.setdefault(quantity, {})[stage.split("_")[0]] = name
+    quantities = sorted(pairs, key=lambda name: not name.startswith(_FIRST))[:_MOST_FIGURES]
+    if not quantities or len(frame) < 2:
         return None
-    rows = -(-len(drawn) // 2)
+    rows = -(-len(quantities) // 2)
     figure, axes = panels(None, (rows, 2), (8, 1.9 * rows), sharex=True)
-    for ax, name in zip(axes, drawn, strict=False):
-        for (when, column), look in zip(pairs[name].items(), looks(pairs[name]).values(), strict=True):
-            ax.plot(frame, numbers[column], **look.line(when) | {"linewidth": 1.2})
+    for ax, name in zip(axes, quantities, strict=False):
+        for (stage, column), look in zip(pairs[name].items(), looks(pairs[name]).values(), strict=True):
+            ax.plot(frame, numbers[column], **look.line(stage) | {"linewidth": 1.2})
         ax.set_title(heading(name), fontsize="small")
         if len(pairs[name]) > 1:
             ax.legend(frameon=False, fontsize=7)
         plain(ax)
     for k, ax in enumerate(axes):
-        ax.set_visible(k < len(drawn))
-        if k + 2 >= len(drawn):
+        ax.set_visible(k < len(quantities))
+        if k + 2 >= len(quantities):
             ax.set_xlabel("frame")
             ax.tick_params(labelbottom=True)
     return figure

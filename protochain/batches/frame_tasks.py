@@ -142,7 +142,7 @@ class EnergyFrames(Task):
         totals = (*TERMS, "total")
         if self.between is None:
             return tuple(f"{term}_kj_mol" for term in totals)
-        return tuple(f"{of}_{term}_kj_mol" for of in _OF_PARTS for term in totals)
+        return tuple(f"{part}_{term}_kj_mol" for part in _OF_PARTS for term in totals)
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Build the energy, if there is none."""
@@ -154,10 +154,10 @@ class EnergyFrames(Task):
                 value, forces = energy(frame.positions)
                 return dict(zip(self.columns, (value, float(np.sqrt(np.mean(forces**2)))), strict=True)), None
             table = energy_terms(frame, between=self.between, energy=energy)
-            prefixes = {"whole": ""} if self.between is None else {of: f"{of}_" for of in _OF_PARTS}
+            prefixes = {"whole": ""} if self.between is None else {part: f"{part}_" for part in _OF_PARTS}
             rows = table.to_dict("index")
             return {
-                f"{prefix}{term}_kj_mol": e for of, prefix in prefixes.items() for term, e in rows[of].items()
+                f"{stem}{term}_kj_mol": e for part, stem in prefixes.items() for term, e in rows[part].items()
             }, None
 
         return act

@@ -239,8 +239,8 @@ class Job:
             for name, source, file, record in records
         )
         charges = files.get(setup.ligand_charges, setup.ligand_charges)
-        moved = {"forcefield": force_field, "ligands": ligands, "ligand_charges": charges}
-        return replace(self, settings=self.settings.changed(**moved)) if files else self
+        absolute_paths = {"forcefield": force_field, "ligands": ligands, "ligand_charges": charges}
+        return replace(self, settings=self.settings.changed(**absolute_paths)) if files else self
 
 
 @dataclass(frozen=True)
@@ -331,16 +331,16 @@ def find_jobs(
             raise ProtochainError(
                 f"{path}: lies in the folder for the results; give them a folder of their own"
             )
-    where = f"{manifest}: " if manifest else ""
+    prefix = f"{manifest}: " if manifest else ""
     if not inputs_found:
-        raise ProtochainError(f"{where}no structures found; give files, folders or patterns")
+        raise ProtochainError(f"{prefix}no structures found; give files, folders or patterns")
     if not any(job_input.path.exists() for job_input in inputs_found):
         raise ProtochainError(
-            f"{where}{inputs_found[0].path}: not found, nor any other structure; check the names"
+            f"{prefix}{inputs_found[0].path}: not found, nor any other structure; check the names"
         )
-    usual = BatchSettings().values()
+    default_values = BatchSettings().values()
     settings.refuse_idle(
-        (name for name, value in settings.values().items() if value != usual[name]),
+        (name for name, value in settings.values().items() if value != default_values[name]),
         frozenset.intersection(*(job_input.settings.idle for job_input in inputs_found)),
     )
     jobs = [job_input.job() for job_input in inputs_found]
@@ -376,12 +376,12 @@ def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
         matches = sorted(path for path in Path(source).rglob("*") if _is_structure(path))
         yield from ((path, Path(source)) for path in matches if not _is_inside(path, output))
     elif not Path(source).exists() and _GLOB & set(source):
-        matched = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
-        if not matched:
+        names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
+        if not names:
             raise ProtochainError(f"{source}: matches no file")
-        fixed = itertools.takewhile(lambda part: not _GLOB & set(part), Path(source).parts)
-        root = Path(*fixed)
-        yield from ((Path(path), root) for path in matched if not Path(path).is_dir())
+        fixed_parts = itertools.takewhile(lambda part: not _GLOB & set(part), Path(source).parts)
+        root = Path(*fixed_parts)
+        yield from ((Path(path), root) for path in names if not Path(path).is_dir())
     else:
         yield Path(source), Path(source).parent
 

@@ -81,14 +81,14 @@ def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str
     letters = "".join(sorted(LETTERS)) if text(into, "into") == ALL else into.upper()
     if not letters or not {*letters} <= LETTERS.keys():
         raise ProtochainError(Argument("into"), f" {into!r}: give letters of residues, as A or AVL, or all")
-    chosen = np.zeros(structure.n_residues, dtype=bool)
+    is_site = np.zeros(structure.n_residues, dtype=bool)
     for part in text(sites, "sites").split(","):
-        chosen |= residues_of(structure, part.strip(), "sites")
+        is_site |= residues_of(structure, part.strip(), "sites")
     letters_of_residues = [STANDARD.get(str(name), "") for name in structure.residue_name]
     is_hetero = np.isin(np.arange(structure.n_residues), structure.atom_residue[structure.kept])
     rows = [
         (r, "".join(letter for letter in dict.fromkeys(letters) if letter != letters_of_residues[r]))
-        for r in np.flatnonzero(chosen & ~is_hetero).tolist()
+        for r in np.flatnonzero(is_site & ~is_hetero).tolist()
         if letters_of_residues[r]
     ]
     if not any(mutants for _, mutants in rows):
@@ -186,12 +186,12 @@ def run_scan(
     elif checkpoint_file.exists():
         raise refuse_earlier(table, "an interrupted scan", "; or remove ", str(checkpoint_file))
     finished, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
-    left = []
+    remaining = []
     for r, letters in jobs:
         site = structure.residue(r)
         letters = "".join(letter for letter in letters if (site.chain, site.number, letter) not in finished)
-        left += [(r, letters)] if letters else []
-    total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
+        remaining += [(r, letters)] if letters else []
+    total, interrupted = len(rows) + sum(len(letters) for _, letters in remaining), False
 
     def keep() -> "pd.DataFrame":
         sorted_table = pd.DataFrame(
@@ -203,7 +203,7 @@ def run_scan(
     keep()  # Replaces an earlier table, whose rows are not part of this scan.
     write_checkpoint(checkpoint_file, {}, None, settings)
     try:
-        for row in rows_of(structure, left, relaxing, setup, processes):
+        for row in rows_of(structure, remaining, relaxing, setup, processes):
             with held_interrupts() as signals:
                 rows.append(row)
                 keep()
@@ -225,13 +225,13 @@ def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
     letters = sorted({*table["mutant"]})
     values = np.full((len(letters), len(sites)), np.nan)
     for row in table.to_dict("records"):
-        at = sites.index((row["chain"], str(row["residue"]), row["wild"]))
-        values[letters.index(row["mutant"]), at] = np.nan if row[column] is None else row[column]
+        position = sites.index((row["chain"], str(row["residue"]), row["wild"]))
+        values[letters.index(row["mutant"]), position] = np.nan if row[column] is None else row[column]
     figure, (ax,) = panels(None, 1, (2.5 + 0.22 * len(sites), 1.6 + 0.22 * len(letters)))
-    shown = ax.imshow(values, cmap="coolwarm", vmin=-_MOST, vmax=_MOST, aspect="auto")
+    image = ax.imshow(values, cmap="coolwarm", vmin=-_MOST, vmax=_MOST, aspect="auto")
     ax.set_facecolor("#cccccc")
     names = [f"{chain}:{wild}{number}" for chain, number, wild in sites]
     ax.set_xticks(range(len(sites)), names, rotation=90, fontsize=7)
     ax.set_yticks(range(len(letters)), letters, fontsize=8)
-    figure.colorbar(shown, ax=ax, label="kJ/mol", extend="both")
+    figure.colorbar(image, ax=ax, label="kJ/mol", extend="both")
     return figure

@@ -46,9 +46,9 @@ def write_page(
     ends: Mapping[str, tuple[Structure, Structure | None]] = MappingProxyType({}),
 ) -> None:
     """Write ``pages/NAME.html``."""
-    minimised = SHORT_COLUMNS if {*job.settings.methods} != {RELAX} else ()
+    minimised_columns = SHORT_COLUMNS if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
-    columns = {column.key: column for column in (*of_relaxed, *minimised)}.values()
+    columns = {column.key: column for column in (*of_relaxed, *minimised_columns)}.values()
     records = [row.record for row in rows]
     path = folder / "pages" / f"{job.name}.html"
     fill(

@@ -52,8 +52,8 @@ class ScoreJob:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
                 interface = score_sides(structure, energy, *pair, sides(structure, *pair), confidences)
-                off = docking_rmsds(self.reference, structure, *pair) if self.reference else {}
-                yield self.label, replace(interface, scores={**interface.scores, **off})
+                deviations = docking_rmsds(self.reference, structure, *pair) if self.reference else {}
+                yield self.label, replace(interface, scores={**interface.scores, **deviations})
         except Exception as error:
             message = reason(error, self.path)[1]
             has_name = message.startswith((self.label, str(self.path)))

@@ -86,13 +86,13 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
     s = job.settings
     began = perf_counter()
     setups = {method: s.of_relaxing if method == RELAX else s.setup for method in s.methods}
-    prepared = {setup: _prepare(job.path, replace(setup, threads=threads)) for setup in {*setups.values()}}
-    chain = None if s.methods == (RELAX,) else s.setup.chain(prepared[s.setup][0])
+    inputs = {setup: _prepare(job.path, replace(setup, threads=threads)) for setup in {*setups.values()}}
+    chain = None if s.methods == (RELAX,) else s.setup.chain(inputs[s.setup][0])
     preparation = perf_counter() - began
     reference: tuple[Structure, Floats] | None = None
     # OpenMM first: RMSDs to its end are reported for the others.
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
-        structure, energy = prepared[setups[method]]
+        structure, energy = inputs[setups[method]]
         result: Solution | Relaxation
         of_starts: dict[str, Any] = {}
         if method == RELAX:
@@ -110,8 +110,8 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             result.save(folder / record["output"])
             if s.setup.poses:
                 s.setup.save_ligands(result, folder / poses_name(job.name, method))
-            copied = copy_confidences(job.path, folder / record["output"])
-            record["confidences"] = flat([*(path.name for path in copied.written), *copied.left])
+            confidences = copy_confidences(job.path, folder / record["output"])
+            record["confidences"] = flat([*(path.name for path in confidences.written), *confidences.left])
         if method == "openmm":
             reference = structure, result.x
         elif reference and reference[0] is structure:

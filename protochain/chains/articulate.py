@@ -275,10 +275,10 @@ def _walk(
                 for freedom in _freedoms(hinge, inner, angles):
                     bodies.append(_Body(body_of[outboard], HingeKind.REVOLUTE, freedom, inner, outer))
                     body_of[outboard] = len(bodies) - 1
-    crossed = {body.hinge for body in bodies}
-    left = next((hinge for hinge in hinges if hinge not in crossed), None)
-    if left is not None:
-        raise ChainError(f"{name}: {left} lies in a ring of turning bonds; do not open hinges of its kind")
+    hinges_used = {body.hinge for body in bodies}
+    unused = next((hinge for hinge in hinges if hinge not in hinges_used), None)
+    if unused is not None:
+        raise ChainError(f"{name}: {unused} lies in a ring of turning bonds; do not open hinges of its kind")
     return bodies, np.array([body_of[int(g)] for g in group])
 
 

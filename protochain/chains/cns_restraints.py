@@ -145,12 +145,12 @@ def _skip_header(word: str, tokens: deque[_Token]) -> None:
         while tokens and pop_value().lower() != "end":
             pass
     elif _is(word, "averaging"):
-        of, how = pop_value(), pop_value()
-        if not _is(how, "sum"):
-            raise ProtochainError(f"averaging {of} {how} is not implemented; give sum")
+        group, method = pop_value(), pop_value()
+        if not _is(method, "sum"):
+            raise ProtochainError(f"averaging {group} {method} is not implemented; give sum")
     elif _is(word, "monomers"):
-        of, count = pop_value(), pop_value()
+        group, count = pop_value(), pop_value()
         if count != "1":
-            raise ProtochainError(f"monomers {of} {count} is not implemented; give 1")
+            raise ProtochainError(f"monomers {group} {count} is not implemented; give 1")
     else:
         raise ProtochainError(f"{excerpt(word)!r} is not implemented; remove this statement")

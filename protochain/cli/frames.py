@@ -107,8 +107,8 @@ def open_ensemble(
     if trajectory is None and str(source) == "-":
         raise ProtochainError("frames: give a file, as standard input is read only once")
     ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
-    noted = [repair for repair in ensemble.structure.repairs if repair.kind is not Kind.MODELS_LEFT_OUT]
-    options.print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
+    repairs = [repair for repair in ensemble.structure.repairs if repair.kind is not Kind.MODELS_LEFT_OUT]
+    options.print_changes(source, replace(ensemble.structure, repairs=tuple(repairs)))
     return ensemble, chosen
 
 
@@ -175,8 +175,8 @@ def _print(result: "FramesRun", report: Path | None) -> None:
     print(f"{counted(sum(result.counts.values()), 'frame')}: {counts or 'none done'}")
     if result.counts:
         print(_medians(result))
-        if parted := _count_split_frames(result):
-            print(parted)
+        if warning := _count_split_frames(result):
+            print(warning)
     trajectory = result.trajectory if result.written and not result.interrupted else None
     options.print_files(trajectory, result.topology, result.csv, report)
 

@@ -49,7 +49,7 @@ def with_detail(command: Callable[..., None]) -> Callable[..., None]:
     """Add ``--verbose`` and ``--quiet`` to a command."""
     quiet = typer.Option("--quiet", help="Print the verdict and errors only.")
     verbose = typer.Option("--verbose", help="Print all changes, warnings and details.")
-    added = [
+    detail_options = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, of])
         for name, of in (("verbose", verbose), ("quiet", quiet))
     ]
@@ -67,7 +67,7 @@ def with_detail(command: Callable[..., None]) -> Callable[..., None]:
             _detail = before
 
     signature = inspect.signature(command)
-    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]  # known at run time only
+    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *detail_options])  # type: ignore[attr-defined]  # known at run time only
     return run
 
 

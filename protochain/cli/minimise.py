@@ -69,14 +69,14 @@ def minimise(
     from protochain.minimisers.starts import refuse_restraints
     from protochain.structure.formats.trajectory import check_trajectory, part_of
 
-    chosen = method if angle is None else at_angle(recipe_of(method), angle)
-    Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
+    recipe = method if angle is None else at_angle(recipe_of(method), angle)
+    Minimisation(recipe_of(recipe), **vars(minimising), **vars(saving))
     if starting.n_starts > 1:
         reason = "applies to a single start only"
         options.refuse(context, "checkpoint resume trajectory", reason)
     extras = {"report": report, "ligands": ligand_out, "trace": trace}
     stem, suffix = options.named_after(source)
-    output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
+    output = output or Path(f"{stem}.{getattr(recipe, 'name', method)}{suffix}")
     options.check_names(output, report, ligand_out, as_json)
     if trajectory:
         check_trajectory(trajectory)
@@ -89,20 +89,20 @@ def minimise(
     options.check_outputs([source, saving.resume], outputs, setup, force)
     context.with_resource(claimed_files(*frames))
 
-    settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
+    settings: dict[str, Any] = {"method": recipe, **vars(minimising)}
     if starting.n_starts == 1:
         solve: Any = partial(_once, trajectory=trajectory, **vars(saving), **settings)
     else:
         refuse_restraints(minimising.restraint, minimising.max_rmsd)
         solve = partial(_minimise_often, **vars(starting), **settings)
     limit = minimising.max_evaluations
-    lengths = starting.n_starts * terminal.typical_evaluations(chosen, limit), starting.n_starts * limit
+    lengths = starting.n_starts * terminal.typical_evaluations(recipe, limit), starting.n_starts * limit
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
         for run_setup, path in runs:
             with measure_run(from_start=not records):
                 records.append(
-                    _solve_and_write(context, source, run_setup, path, chosen, solve, lengths, write, extras)
+                    _solve_and_write(context, source, run_setup, path, recipe, solve, lengths, write, extras)
                 )
             if records[-1]["status"] == "interrupted":
                 break
@@ -167,10 +167,10 @@ class _Writer:
         """Write all solutions, also if a later model failed."""
         if self.one_file and self.solutions:
             models = [solution.structure for solution in self.solutions]
-            noted = (
+            remarks = (
                 f"MODEL {s.structure.model_number}: {line}" for s in self.solutions for line in s.provenance()
             )
-            options.write_models(models, self.output, self.suffix, noted)
+            options.write_models(models, self.output, self.suffix, remarks)
 
 
 def _solve_and_write(

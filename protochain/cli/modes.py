@@ -79,11 +79,11 @@ def modes(
         q, first = _minimise(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():
             analysis = normal_modes(chain, energy, q, modes, method=method)
-    noted = {
+    entries = {
         "input": str(source), "output": str(output), "first": first, "seconds_preparation": preparation,
     }  # fmt: skip
     record = write_modes(
-        analysis, output, noted, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
+        analysis, output, entries, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
         model=target,
     )  # fmt: skip
     if as_json:
@@ -101,11 +101,11 @@ def _minimise(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats",
     if torques_at(chain, energy, None).largest <= FLAT:
         return chain.q0, "a minimum as it is: not minimised first"
     print_outlook(source, chain.structure, METHOD)
-    relaxed, stated = minimise_first(chain, energy, _RELAXED)
-    if not relaxed.is_usable:
-        raise ProtochainError(f"{source}: {relaxed.message}")
-    print(stated, file=sys.stderr)
-    return relaxed.q, stated
+    solution, line = minimise_first(chain, energy, _RELAXED)
+    if not solution.is_usable:
+        raise ProtochainError(f"{source}: {solution.message}")
+    print(line, file=sys.stderr)
+    return solution.q, line
 
 
 def _print(analysis: "NormalModes", record: dict[str, Any]) -> None:

@@ -126,7 +126,7 @@ def _print(mutation: "Mutation") -> None:
 
 def _scan(
     source: Path, sites: str, into: str, output: Path | None, relaxing: RelaxSettings, setup: Setup,
-    how: tuple[int | None, str | None, float], report: Path | None, *,
+    cluster_options: tuple[int | None, str | None, float], report: Path | None, *,
     resume: bool, as_json: bool, force: bool,
 ) -> int:  # fmt: skip
     """Scan sites. Write the table, and the page with the heat map."""
@@ -138,7 +138,7 @@ def _scan(
     table = output or Path(f"{options.named_after(source)[0]}.mutations.csv")
     options.check_page(report)
     options.check_outputs([source], [table, report], setup, force, not resume)
-    processes = Processes(how[0], how[1], setup.threads or 1, how[2])
+    processes = Processes(cluster_options[0], cluster_options[1], setup.threads or 1, cluster_options[2])
     with claimed_files(table), processes.started_early():
         structure = setup.load(source)
         options.print_changes(source, structure)
@@ -155,8 +155,8 @@ def _scan(
     rows: Any = mutations.astype(object).where(mutations.notna(), None).to_dict("records")
     if as_json:
         files = [str(path) for path in (table, report) if path]
-        noted = {"input": str(source), "sites": sites, "into": into}
-        options.print_json(noted | {"results": rows, "files": files})
+        entries = {"input": str(source), "sites": sites, "into": into}
+        options.print_json(entries | {"results": rows, "files": files})
     elif rows:
         shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
         print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)

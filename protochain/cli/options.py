@@ -106,14 +106,14 @@ def _options(field: Field[Any]) -> Iterator[inspect.Parameter]:
     kind = setting.kind if plain else setting.kind | None
     yield _option(field.name, kind, usual, setting.names(field.name), setting)
     if setting.word:
-        name, noted, _ = setting.word
-        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(setting.check, noted))
+        name, help_text, _ = setting.word
+        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(setting.check, help_text))
 
 
 def _option(name: str, kind: Any, usual: Any, names: list[str], setting: Setting) -> inspect.Parameter:
-    declared = typer.Option(*names, help=setting.help, metavar=setting.metavar)
+    option = typer.Option(*names, help=setting.help, metavar=setting.metavar)
     return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=usual, annotation=Annotated[kind, declared]
+        name, inspect.Parameter.KEYWORD_ONLY, default=usual, annotation=Annotated[kind, option]
     )
 
 
@@ -128,14 +128,14 @@ def _build_settings(kind: type[Made], options: Mapping[str, Any]) -> Made | None
             value = [setting.word[2], *(value or ())]
         if value not in (None, []):
             arguments[name] = setting.read(value) if setting.read else value
-    usual = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]  # a dataclass
+    field_defaults = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]  # a dataclass
     setting_of = dict(settings_of(kind))
-    needed = [name for name in setting_of if usual[name] is MISSING and name not in arguments]
-    if not needed:
+    missing = [name for name in setting_of if field_defaults[name] is MISSING and name not in arguments]
+    if not missing:
         return kind(**arguments)
     for name, value in arguments.items():
-        if value != usual[name]:
-            option, requirement = (setting_of[key].names(key)[0] for key in (name, needed[0]))
+        if value != field_defaults[name]:
+            option, requirement = (setting_of[key].names(key)[0] for key in (name, missing[0]))
             raise ProtochainError(f"{option} requires {requirement}")
     return None
 
@@ -363,8 +363,8 @@ def check_outputs(
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs. Give each a separate name")
     for output in outputs:
-        same = output.exists() and any(path.exists() and output.samefile(path) for path in inputs)
-        if same and not force:
+        is_input = output.exists() and any(path.exists() and output.samefile(path) for path in inputs)
+        if is_input and not force:
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input. Give another name{instead}")
         check_writable(output)
@@ -443,9 +443,9 @@ def write_outputs(
         if report:
             write_report(result, record, report)
             record["report"] = str(report)
-        copied = copy_confidences(Path(record["input"]), Path(record["output"]))
-        tell(Kind.WARNING, *copied.left)
-        record["confidences"] = [str(path) for path in copied.written]
+        confidences = copy_confidences(Path(record["input"]), Path(record["output"]))
+        tell(Kind.WARNING, *confidences.left)
+        record["confidences"] = [str(path) for path in confidences.written]
         if ligands:
             setup.save_ligands(result, ligands)
             record["ligands_written"] = str(ligands)

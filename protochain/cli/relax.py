@@ -163,8 +163,8 @@ def _one(
             origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
 
             def write() -> None:
-                how = result.provenance(), relaxing.keep_hydrogens
-                options.write_models([result.structure], output, suffix_of(source), *how)
+                arguments = result.provenance(), relaxing.keep_hydrogens
+                options.write_models([result.structure], output, suffix_of(source), *arguments)
 
             record = options.write_outputs(result, origin, write, setup, _write_page, report, ligand_out)
     if as_json:
@@ -191,8 +191,8 @@ def _report_trajectories(inputs: list[str]) -> None:
     for folder in filter(os.path.isdir, inputs):
         for path in trajectories(Path(folder)):
             models = [candidate for candidate in path.parent.iterdir() if format_of(candidate)]
-            of = str(models[0]) if len(models) == 1 else "TOPOLOGY"
-            command = shlex.join(["protochain", "relax", of, "--trajectory", str(path)])
+            topology = str(models[0]) if len(models) == 1 else "TOPOLOGY"
+            command = shlex.join(["protochain", "relax", topology, "--trajectory", str(path)])
             print(f"{path}: is skipped. To relax its frames: {command}", file=sys.stderr)
 
 
@@ -223,8 +223,8 @@ def _several(
             **processes,
         )  # fmt: skip
     for path in extras:
-        written = result.table.dropna(subset="output")["structure"]
-        write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
+        names = result.table.dropna(subset="output")["structure"]
+        write_text(path, "".join((folder / poses_name(name)).read_text() for name in names))
 
     def show() -> None:
         print_folder(result.table, folder)

@@ -53,7 +53,7 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
     inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inversions) else []
     twisted = counted(len(at.peptides), "twisted peptide bond")
     duration = f"about {max(seconds, 1.0):.0f} s"
-    stated = [
+    lines = [
         *describe_move(structure, move),
         f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
         + (f", {n_hetero} of them with hetero molecules" if n_hetero else ""),
@@ -66,7 +66,7 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
     ]
     short = [*describe_move(structure, move), duration]
     warnings = [] if is_verbose() else [*rings, *(inverted_line if advice else ())]
-    print_changes(source, structure, stated if is_verbose() else short, warnings)
+    print_changes(source, structure, lines if is_verbose() else short, warnings)
     return seconds
 
 
@@ -105,24 +105,24 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     )
     rounds = record["n_rounds"]
     rmsd = record["ca_rmsd_angstrom"]
-    moved = (
+    summary = (
         f"farthest atom moved by {record['farthest_atom_angstrom']:.2f} angstrom; "
         f"{rounds} round{'s' * (rounds > 1)}, {record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
-    moved = moved if rmsd is None else f"C-alpha RMSD to the input {rmsd:.2f} angstrom, {moved}"
+    summary = summary if rmsd is None else f"C-alpha RMSD to the input {rmsd:.2f} angstrom, {summary}"
     motion = [
         f"{m['name']} {m['chain']}:{m['residue']} RMSD {m['rmsd_angstrom']:.2f}, largest displacement "
         f"{m['displacement_max_angstrom']:.2f} angstrom"
         for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
     ]
-    stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
+    lines = [summary, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
     details = []
     if record["repacked"]:
-        noted = summarise(result.turned) or ("no side chain improves",)
-        details.append(f"repacked first: {'; '.join(noted)}")
-    if turned := (*result.stereocentres_corrected, *result.peptides_turned):
-        details.append("; ".join(summarise(turned)))
-    _print_wrapped(Kind.RESULT, stated)
+        repacked = summarise(result.turned) or ("no side chain improves",)
+        details.append(f"repacked first: {'; '.join(repacked)}")
+    if repairs := (*result.stereocentres_corrected, *result.peptides_turned):
+        details.append("; ".join(summarise(repairs)))
+    _print_wrapped(Kind.RESULT, lines)
     _print_wrapped(Kind.MORE, details)
     _print_wrapped(Kind.VERDICT, [record["message"]])
     _print_wrapped(Kind.RESULT, describe_remains(record, residues_shown()))
@@ -150,19 +150,19 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
             f"{ligands_moved(usable)}",
         )
-    near = usable[usable["overlaps_beside_start"] > 0]
-    if len(near):
-        noted = [
+    overlapping = usable[usable["overlaps_beside_start"] > 0]
+    if len(overlapping):
+        names = [
             f"{row.structure} ({row.overlaps_beside_start:.0f} pairs, {row.overlaps_beside_end:.0f} left)"
-            for row in near.head(_SHOWN).itertuples()
+            for row in overlapping.head(_SHOWN).itertuples()
         ]
-        ending = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
+        ending = f" and {len(overlapping) - _SHOWN} more, in the table" if len(overlapping) > _SHOWN else ""
         text = "structures overlapped with hetero molecules"
-        tell(Kind.RESULT, f"{len(near)} of {len(table)} {text}: {', '.join(noted)}{ending}")
-    left = table[table["status"] != "converged"]
-    for row in left.head(_SHOWN).itertuples():
+        tell(Kind.RESULT, f"{len(overlapping)} of {len(table)} {text}: {', '.join(names)}{ending}")
+    unconverged = table[table["status"] != "converged"]
+    for row in unconverged.head(_SHOWN).itertuples():
         tell(Kind.RESULT, f"{row.structure}: {row.message}")
-    if len(left) > _SHOWN:
-        tell(Kind.RESULT, f"and {len(left) - _SHOWN} more, in the table")
+    if len(unconverged) > _SHOWN:
+        tell(Kind.RESULT, f"and {len(unconverged) - _SHOWN} more, in the table")
     print_lost(table.to_dict("records"))
     tell(Kind.WRITTEN, f"written: {folder / 'relaxed.csv'}, the structures, and report.html in one folder")

@@ -30,7 +30,7 @@ def conclude(
     as_json: bool,
     files: Sequence[Path] = (),
     is_sound: bool = True,
-    **noted: Any,
+    **entries: Any,
 ) -> None:
     """Write the requested tables, print the rows or one object, and exit, with 3 if not ``is_sound``."""
     from protochain.core.storage import write_atomically
@@ -41,7 +41,7 @@ def conclude(
     written = [*filter(None, tables), *files]
     usable = [row for row in rows if not row["message"]]
     if as_json:
-        print_json({**noted, "results": rows, "files": [*map(str, written)]})
+        print_json({**entries, "results": rows, "files": [*map(str, written)]})
     else:
         if usable:
             show(usable)

@@ -118,12 +118,12 @@ def score(
     if rank:
         pairs.sort(key=lambda entry: _place(entry[0].get(rank), columns[rank].better))
     rows, usable = [row for row, _ in pairs], [(row, scores) for row, scores in pairs if scores]
-    crowded: list[str] = []
+    warnings: list[str] = []
     for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
             problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless"
-            crowded.append(f"{structure.name}: {problem}. Relax first, with --relax")
-    warn(crowded)
+            warnings.append(f"{structure.name}: {problem}. Relax first, with --relax")
+    warn(warnings)
     of_residues = [scores.residues.assign(file=row["file"], interface=scores.name) for row, scores in usable]
     if report:
         from protochain.comparison.scored import write_scored
@@ -131,7 +131,7 @@ def score(
         write_scored([scores for _, scores in usable], [row for row, _ in usable], report, setup, rank or "")
     conclude(
         rows, {csv: lambda: table_of(rows), residues: lambda: concatenate(of_residues)}, _print, as_json,
-        [report] if report else [], not crowded, interface=interface, rank=rank, solvent=setup.solvent,
+        [report] if report else [], not warnings, interface=interface, rank=rank, solvent=setup.solvent,
         forcefield=setup.forcefield,
     )  # fmt: skip
 

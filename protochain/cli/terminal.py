@@ -84,11 +84,11 @@ class _Progress:
             self.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def _left(self) -> str:
-        passed = monotonic() - self.began
-        if self.n_done <= self.first or not passed:
+        elapsed = monotonic() - self.began
+        if self.n_done <= self.first or not elapsed:
             return ""
         ends, word = (self.typical, "about") if self.n_done < self.typical else (self.longest, "at most")
-        seconds = passed / (self.n_done - self.first) * (ends - self.n_done)
+        seconds = elapsed / (self.n_done - self.first) * (ends - self.n_done)
         return f"{word} {_clock(seconds)} left"
 
 
@@ -161,9 +161,9 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
     progress = _Progress(name, n_steps, n_steps)
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
-        passed = monotonic() - progress.began
+        elapsed = monotonic() - progress.began
         rate = (
-            86.4 * time_step * (row["step"] - progress.first) / passed if passed and progress.first else 0.0
+            86.4 * time_step * (row["step"] - progress.first) / elapsed if elapsed and progress.first else 0.0
         )
         speed = f", {rate:.1f} ns/day" if rate else ""
         progress.show(row["step"], f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{speed}")
@@ -274,8 +274,8 @@ def print_search(result: "Search", output: object) -> None:
     for row in result.populations.to_dict("records"):
         energy = f"{row['energy_kj_mol']:.1f} +- {row['energy_error_kj_mol']:.1f} kJ/mol"
         share, error = 100.0 * row["helix_share"], 100.0 * row["helix_share_error"]
-        folded = "" if math.isnan(share) else f", helix {share:.1f} +- {error:.1f} %"
-        print(f"  {row['temperature_k']:.0f} K: {energy}{folded}")
+        helix = "" if math.isnan(share) else f", helix {share:.1f} +- {error:.1f} %"
+        print(f"  {row['temperature_k']:.0f} K: {energy}{helix}")
     print(f"written: {output}")
 
 
@@ -409,7 +409,7 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
 
 def count_violations(usable: "DataFrame") -> str:
     """Violations of relaxed structures before and after, as text."""
-    before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
+    before, after = (int(usable[f"violations_{stage}"].sum()) for stage in ("start", "end"))
     return f"residues with violations {before} before, {after} after"
 
 
@@ -437,8 +437,8 @@ def print_batch(table: "DataFrame", report: str) -> None:
         ending = f"; {count_violations(usable)}{ending}" if ending and method == RELAX else ending
         ending += ligands_moved(usable)
         console.print(f"{method}: {counts}{ending}", markup=False, highlight=False)
-    unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
-    failed = table[table["output"].isna() | unmended].drop_duplicates("structure")
+    unconverged = table["method"].eq(RELAX) & table["status"].ne("converged")
+    failed = table[table["output"].isna() | unconverged].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():
         console.print(
             f"{row.structure}: {row.status}: {row.message}", markup=False, highlight=False, soft_wrap=True

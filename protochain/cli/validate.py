@@ -84,25 +84,25 @@ def validate(
     rows: Rows = []
     notes: dict[str, list[str]] = {}
     of_residues: list[DataFrame] = []
-    changed: list[DataFrame] = []
+    change_tables: list[DataFrame] = []
     # Structures are not stored, as there may be thousands.
     for name, result in _validate_files(files, compared, posebusters):
         if isinstance(result, ProtochainError):
             rows.append(refusal_row(result, file=name))
             continue
-        between = _changes(reference, result) if changes else None
-        rows.append({"file": name, **_row(result, between)})
-        stated = (result.posebusters_missing, repr(between).strip("<>") if between else "")
-        notes[name] = [*map(str, result.ligands), *filter(None, stated)]
-        of: dict[str, Any] = {"file": name, "model": result.structure.model_number}
+        change = _changes(reference, result) if changes else None
+        rows.append({"file": name, **_row(result, change)})
+        remarks = (result.posebusters_missing, repr(change).strip("<>") if change else "")
+        notes[name] = [*map(str, result.ligands), *filter(None, remarks)]
+        origin: dict[str, Any] = {"file": name, "model": result.structure.model_number}
         if residues:
-            of_residues.append(result.residues.assign(**of))
-        if between:
-            changed.append(between.residues.assign(**of))
+            of_residues.append(result.residues.assign(**origin))
+        if change:
+            change_tables.append(change.residues.assign(**origin))
     tables = {
         csv: lambda: table_of(rows, _LISTS),
         residues: lambda: concatenate(of_residues),
-        changes: lambda: concatenate(changed),
+        changes: lambda: concatenate(change_tables),
     }
     conclude(rows, tables, partial(_print, notes), as_json, reference=str(reference) if reference else None)
 
@@ -154,6 +154,6 @@ def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
         further = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = mapping and f"chains of the reference and their match: {mapping}"
-        noted = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and further]
-        if any(noted):
-            print(f"{row['file']}:", *filter(None, noted), sep="\n  ")
+        parts = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and further]
+        if any(parts):
+            print(f"{row['file']}:", *filter(None, parts), sep="\n  ")
