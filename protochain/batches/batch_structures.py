@@ -16,7 +16,7 @@ from protochain.batches.table import OF_INTERFACE, RELAXED, SUMMARY, Tables, ear
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.core import defaults
-from protochain.core.checks import checked, flag, function, number, path, several
+from protochain.core.checks import check_arguments, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import json_text, write_atomically, write_text
@@ -110,7 +110,7 @@ class Batch:
         return self.table.iloc[:, :12].to_html(index=False, max_rows=20)
 
 
-@checked(
+@check_arguments(
     output=path, methods=several, manifest=path, resume=flag, force=flag, watch=function("progress"),
     max_rmsd=number,
 )  # fmt: skip

@@ -11,7 +11,7 @@ from scipy.spatial.distance import squareform
 from protochain.batches.frames import ensemble_of
 from protochain.chains.setup import Setup
 from protochain.core.arrays import Floats, Integers, Value, dihedral, read_only
-from protochain.core.checks import checked, in_range, number, one_of, optional, selection
+from protochain.core.checks import check_arguments, in_range, number, one_of, optional, selection
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers.solution import alpha_residues
@@ -61,7 +61,7 @@ class Clusters(Value):
         return f"<Clusters: {len(self.medoids)} of {len(self.table)} frames>"
 
 
-@checked(
+@check_arguments(
     by=one_of(tuple(WITHIN)), measure=selection,
     within=optional(in_range(number, lambda w: w >= 0.0, "give angstrom or degrees, none below 0")),
 )  # fmt: skip

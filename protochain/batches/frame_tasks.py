@@ -14,7 +14,7 @@ from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
@@ -187,7 +187,7 @@ class ScoreFrames(Task):
 
         pairs = [split_sides(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
-            problem = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
+            problem = f"{plural(len(pairs), 'pair')} of its chains are in contact; give "
             raise ProtochainError(f"{structure.name}: {problem}", Argument("interface"))
         parts = sides(structure, *pairs[0])
         energy = as_native(_with_threads(self.setup, threads).energy(structure))

@@ -10,7 +10,7 @@ from protochain.batches.cluster import Processes, Submitted, open_workers, share
 from protochain.batches.frame_tasks import EnergyFrames, FrameJob, FrameRow, RelaxFrames, Task, row_of
 from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
-from protochain.core.checks import at_least, checked, optional, text
+from protochain.core.checks import at_least, check_arguments, optional, text
 from protochain.energies import Energy, as_energy
 from protochain.energies.factory import has_energy
 from protochain.energies.shared import shared_energy
@@ -72,7 +72,7 @@ class FrameResult(Value):
         )
 
 
-@checked(workers=optional(at_least(1)))
+@check_arguments(workers=optional(at_least(1)))
 def relax_frames(
     top: Any, frames: Any = None, select: Any = None, *, workers: int | None = None, **options: Any
 ) -> Iterator[FrameResult]:
@@ -122,7 +122,7 @@ def relax_frames(
     return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup, energy), processes)
 
 
-@checked(between=optional(text), workers=optional(at_least(1)))
+@check_arguments(between=optional(text), workers=optional(at_least(1)))
 def frame_energies(
     top: Any, frames: Any = None, select: Any = None, *, energy: Any = None, between: str | None = None,
     workers: int | None = None, **settings: Any,

@@ -11,7 +11,7 @@ import numpy as np
 from protochain.batches.cluster import Processes, load_shared, reason, run_jobs, shared_file
 from protochain.chains.setup import Setup
 from protochain.core.checkpoints import checkpoint, write_checkpoint
-from protochain.core.checks import at_least, checked, optional, text
+from protochain.core.checks import at_least, check_arguments, optional, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import write_atomically
@@ -96,7 +96,7 @@ def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str
     return [(r, mutants) for r, mutants in rows if mutants]
 
 
-@checked(workers=optional(at_least(1)))
+@check_arguments(workers=optional(at_least(1)))
 def scan_mutations(
     source: Any, sites: str, into: str = "A", *, workers: int | None = None, **options: Any
 ) -> "pd.DataFrame":

@@ -13,7 +13,7 @@ from protochain.chains.chain import Chain
 from protochain.chains.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, angle, cross, dihedral, dots, read_only
-from protochain.core.checks import checked, kinds, one_of, quantity, selection
+from protochain.core.checks import check_arguments, kinds, one_of, quantity, selection
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components, group_members
 from protochain.core.settings import inheriting
@@ -35,7 +35,7 @@ def _as_of(build: Callable[..., Chain], source: Any, arguments: dict[str, Any]) 
     return build(source, **(brought | arguments))
 
 
-@checked(
+@check_arguments(
     hinges=kinds, root=one_of(("auto", "fixed", "free")), move=selection, hydrogen_mass=quantity("dalton")
 )
 @inheriting(_as_of)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import instance, number, text
-from protochain.core.errors import ChainError, refused
+from protochain.core.errors import ChainError, refusal
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree, algebra
 from protochain.mechanics.multibody.algebra import add, cross, kernel, subtract
@@ -137,7 +137,7 @@ class Chain(Value):
         for name, value in values.items():
             angle = np.deg2rad(number(value, "values"))
             if not np.isfinite(angle):
-                raise refused("values", f"{name}: {value}", "give finite numbers, in degrees")
+                raise refusal("values", f"{name}: {value}", "give finite numbers, in degrees")
             coordinates[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = angle
         return coordinates
 
@@ -330,7 +330,7 @@ def _place_atoms(
 ) -> None:
     for a in range(len(atom_body)):
         b = atom_body[a]
-        arm = algebra.turned(algebra.matrix(rotation, b), algebra.vector(atom_local, a))
+        arm = algebra.rotate(algebra.matrix(rotation, b), algebra.vector(atom_local, a))
         algebra.put(add(algebra.vector(origin, b), arm), x, a, 0)
 
 

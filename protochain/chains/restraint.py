@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from protochain.core.checks import at_least, check_fields, integer, number, one_of, words
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.errors import ProtochainError, refusal
 
 STIFFNESS = 1000.0
 """kJ/mol/nm^2, or of dihedrals kJ/mol/rad^2."""
@@ -146,14 +146,14 @@ def _sides(value: Any, name: str) -> Sides:
     if not isinstance(value, tuple | list):
         return number(value, name)
     if len(value) != 2:
-        raise refused(name, value, "give one number, or two below and above the bounds")
+        raise refusal(name, value, "give one number, or two below and above the bounds")
     below, above = (number(side, name) for side in value)
     return below if below == above else (below, above)
 
 
 def _tail(value: Any, name: str) -> int:
     if (power := integer(value, name)) not in (1, -1):
-        raise refused(name, power, "give 1, linear, or -1, which levels off")
+        raise refusal(name, power, "give 1, linear, or -1, which levels off")
     return power
 
 

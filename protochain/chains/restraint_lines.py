@@ -8,8 +8,8 @@ from typing import Any
 from protochain.chains.amber_restraints import restraints_of_amber
 from protochain.chains.cns_restraints import restraints_of_cns
 from protochain.chains.restraint import EXAMPLE, PLACES, Restraint
-from protochain.core.checks import shown
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.checks import brief
+from protochain.core.errors import ProtochainError, refusal
 
 
 def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ...]:
@@ -19,7 +19,7 @@ def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ..
     if isinstance(source, str | Path):
         if len(str(source)) > 255 or not Path(source).is_file():
             if is_missing(source):
-                raise refused(name, str(source), "no such file")
+                raise refusal(name, str(source), "no such file")
             return (Restraint.read(str(source)),)
         text = Path(source).read_text(errors="replace")
         try:
@@ -30,7 +30,7 @@ def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ..
             raise ProtochainError(f"{source}: no restraints; give a line each, as '{EXAMPLE}'")
         return restraints
     if not isinstance(source, Iterable) or not all(isinstance(item, Restraint | str) for item in source):
-        raise refused(name, shown(source), "give Restraints, their lines, or a file of them")
+        raise refusal(name, brief(source), "give Restraints, their lines, or a file of them")
     return tuple(restraint for item in source for restraint in read_restraints(item))
 
 

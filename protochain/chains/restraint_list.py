@@ -16,7 +16,7 @@ from protochain.chains.restraint_lines import read_restraints
 from protochain.core import arrays
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import ProtochainError, StructureError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.dihedrals import finder
 from protochain.structure.molecule.model import Structure, per_structure
@@ -225,7 +225,7 @@ def describe_violations(values: Sequence[RestraintValue]) -> list[str]:
     worst = select_violated(values)
     if not worst:
         return []
-    number = counted(len(worst), "restraint is violated", "restraints are violated")
+    number = plural(len(worst), "restraint is violated", "restraints are violated")
     return [f"{number}, the worst by {worst[0].violation:.2f} {worst[0].unit} ({worst[0].restraint})"]
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from protochain.core import checks, defaults
 from protochain.core.checks import NO_BONDS, Bond, LigandSource
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.settings import Settings, document_settings, setting
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ class Setup(Settings):
         from protochain.structure import as_structure
 
         if isinstance(self.model, str):
-            raise refused("model", self.model, "one structure is prepared at a time; give its number")
+            raise refusal("model", self.model, "one structure is prepared at a time; give its number")
         structure = as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,
@@ -293,7 +293,7 @@ def _model(value: int | str | None, name: str) -> int | str | None:
     parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in compact.split(",")]
     ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
-        raise refused(name, f"{value!r}", "give its number, or all, or a range such as 1-5")
+        raise refusal(name, f"{value!r}", "give its number, or all, or a range such as 1-5")
     return int(compact) if compact.isdigit() else compact
 
 

@@ -100,7 +100,7 @@ def message_of(error: ProtochainError) -> str:
     commands = map(_command, _COMMANDS)
     options = {param.name for cmd in commands for param in cmd.params if isinstance(param, TyperOption)}
     names = {*options, *(name for name, option in RENAMED.items() if option in options)}
-    return error.told(
+    return error.render(
         lambda part: str(part) if isinstance(part, Argument) and part.name not in names else as_option(part)
     )
 

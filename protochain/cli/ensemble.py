@@ -9,7 +9,7 @@ from protochain.chains.setup import Setup
 from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.options import AsJson, Input, check_outputs, named_after, with_settings
 from protochain.cli.rows import conclude, print_rows
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 
 if TYPE_CHECKING:
     from protochain.batches.ensembles import Clusters
@@ -72,7 +72,7 @@ def ensemble(
         print_rows(headings, [[row[key] for key in (*row,)[:4]] for row in rows], texts=0)
         worst = table.nlargest(3, "ca_fluctuation_angstrom")
         names = [f"{r.chain}:{r.residue} {r.ca_fluctuation_angstrom:.1f}" for r in worst.itertuples()]
-        print(f"{counted(len(members), 'frame')}; C-alphas that fluctuate most, angstrom: {', '.join(names)}")
+        print(f"{plural(len(members), 'frame')}; C-alphas that fluctuate most, angstrom: {', '.join(names)}")
 
     tables = {csv: lambda: members, residues: lambda: table}
     conclude(rows, tables, show, as_json, [output], input=str(source), by=by)

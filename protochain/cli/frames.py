@@ -13,7 +13,7 @@ import typer
 from protochain.cli import options
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.storage import claimed_files
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def run(
 def _print(result: "FramesRun", report: Path | None) -> None:
     """Print the statuses of the frames, medians, and the written files."""
     counts = ", ".join(f"{n} {status}" for status, n in result.counts.items())
-    print(f"{counted(sum(result.counts.values()), 'frame')}: {counts or 'none done'}")
+    print(f"{plural(sum(result.counts.values()), 'frame')}: {counts or 'none done'}")
     if result.counts:
         print(_medians(result))
         if warning := _count_split_frames(result):
@@ -195,7 +195,7 @@ def _count_split_frames(result: "FramesRun") -> str:
     if not (many := int((gap > _PARTED).sum())):
         return ""
     return (
-        f"{counted(many, 'frame')} with molecules up to {gap.max():.0f} angstrom apart that touch in the "
+        f"{plural(many, 'frame')} with molecules up to {gap.max():.0f} angstrom apart that touch in the "
         f"structure ({GAP}). If they cross a periodic box, unwrap the trajectory first"
     )
 

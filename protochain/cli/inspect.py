@@ -11,7 +11,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import options
 from protochain.core.checks import force_field_parts
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 
 
 @options.with_settings(setup="engine device move rigid_protein terms solvent cutoff accuracy threads")
@@ -108,5 +108,5 @@ def build(
         return options.print_json({"output": str(output), **facts})
     with options.redirect_messages(output):
         where = "standard output" if str(output) == options.STANDARD_OUTPUT else output
-        size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
+        size = f"{plural(structure.n_residues, 'residue')}, {plural(structure.n_atoms, 'atom')}"
         print(f"written: {where} ({size})")

@@ -18,7 +18,7 @@ from protochain.chains.setup import Setup
 from protochain.cli.lines import Kind, is_verbose, tell, warn
 from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.settings import Made, Setting, settings_of
 from protochain.core.timings import part, until_now
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
@@ -217,7 +217,7 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     shown = overlapping[:_SHOWN_OVERLAPS] if is_verbose() else overlapping
     warnings = [f"{overlap}; {overlap.remedy}" for overlap in shown]
     if len(overlapping) > len(shown):
-        warnings.append(f"and {counted(len(overlapping) - len(shown), 'more overlap')}")
+        warnings.append(f"and {plural(len(overlapping) - len(shown), 'more overlap')}")
     print_changes(source, structure, describe_move(structure, setup.move, chain), warnings)
     return chain, energy, perf_counter() - began
 
@@ -233,14 +233,14 @@ def describe_move(structure: "Structure", move: str, chain: "Chain | None" = Non
     others_fixed = f"the other {_count_atoms(structure, ~free)} are fixed"
     if chain is None:
         return [f"{_count_atoms(structure, free)} move, {others_fixed}"]
-    hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
+    hinges = plural(chain.n_hinges, "hinge turns", "hinges turn")
     turned = f"{hinges}, which moves {_count_atoms(structure, turned_atoms(chain))}"
     return [f"{turned}, or {_count_atoms(structure, free)} if all atoms move, and {others_fixed}"]
 
 
 def _count_atoms(structure: "Structure", atoms: Any) -> str:
     residues = len({*structure.atom_residue[atoms].tolist()})
-    return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
+    return f"{plural(int(atoms.sum()), 'atom')} of {plural(residues, 'residue')}"
 
 
 def print_changes(
@@ -250,9 +250,9 @@ def print_changes(
     from protochain.structure.molecule.repairs import counts_of_changes, needs_action, summarise
 
     repairs = structure.repairs
-    sizes = counted(structure.n_protein_residues, "residue"), counted(structure.n_atoms, "atom")
+    sizes = plural(structure.n_protein_residues, "residue"), plural(structure.n_atoms, "atom")
     tell(Kind.READ, "; ".join([f"{source}: {', '.join(sizes)}", *read]))
-    listed = f"protochain info lists all {counted(len(repairs), 'change')}"
+    listed = f"protochain info lists all {plural(len(repairs), 'change')}"
     if is_verbose():
         changes = summarise(repairs, as_option)
         tell(Kind.CHANGE, *changes, *([listed] if len(changes) < len(repairs) else []))
@@ -274,7 +274,7 @@ def print_violations(record: "Mapping[str, Any]") -> None:
     violated = record.get("restraint_violations") or []
     if not violated:
         return
-    number = counted(len(violated), "restraint")
+    number = plural(len(violated), "restraint")
     tell(Kind.RESULT, f"{number} violated by more than 0.5 angstrom or 10 degrees:")
     tell(Kind.RESULT, *(f"  {RestraintValue(**value)}" for value in violated[:VIOLATIONS_SHOWN]))
     if len(violated) > VIOLATIONS_SHOWN:

@@ -11,7 +11,7 @@ import numpy as np
 from protochain.cli.lines import Kind, energy_text, is_verbose, residues_shown, table_of_two, tell
 from protochain.cli.options import describe_move, print_changes, print_files, print_lost, print_violations
 from protochain.core import defaults
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.core.timings import part
 
 if TYPE_CHECKING:
@@ -46,12 +46,12 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
     seconds = _EVALUATIONS * (monotonic() - began)
     at = Problems(structure, x)
     n, n_hetero = len(at.overlaps), at.n_hetero_overlaps
-    inverted = counted(len(at.inversions), "inverted stereocentre")
+    inverted = plural(len(at.inversions), "inverted stereocentre")
     as_d = structure.mirrored[structure.atom_residue[at.inversions]].all()
     advice = "" if as_d else " (name D-amino acids as DAL ...)"
-    rings = ["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []
+    rings = ["threaded rings, to be freed first: " + shorten([*map(str, at.rings)], 2)] if at.rings else []
     inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inversions) else []
-    twisted = counted(len(at.peptides), "twisted peptide bond")
+    twisted = plural(len(at.peptides), "twisted peptide bond")
     duration = f"about {max(seconds, 1.0):.0f} s"
     lines = [
         *describe_move(structure, move),
@@ -75,7 +75,7 @@ def _breaks(structure: "Structure") -> list[str]:
     protein_residues = np.unique(structure.atom_residue[~structure.kept])
     _, first = np.unique(structure.residue_chain_index[protein_residues], return_index=True)
     n = len(first) - len({*structure.residue_chain[protein_residues[first]].tolist()})
-    line = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
+    line = f"{plural(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
     return [line] if n > 0 else []
 
 
@@ -115,7 +115,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         f"{m['displacement_max_angstrom']:.2f} angstrom"
         for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
     ]
-    lines = [summary, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else [])]
+    lines = [summary, *([f"ligands: {shorten(motion, _LIGANDS)}"] if motion else [])]
     details = []
     if record["repacked"]:
         repacked = summarise(result.turned) or ("no side chain improves",)
@@ -142,7 +142,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
 
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
-    tell(Kind.VERDICT, f"{counted(len(table), 'structure')}: {counts}")
+    tell(Kind.VERDICT, f"{plural(len(table), 'structure')}: {counts}")
     if len(usable):
         tell(
             Kind.RESULT,

@@ -14,7 +14,7 @@ from protochain.cli.lines import Kind, tell, warn, with_detail
 from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
@@ -121,7 +121,7 @@ def score(
     warnings: list[str] = []
     for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
-            problem = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless"
+            problem = f"{plural(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless"
             warnings.append(f"{structure.name}: {problem}. Relax first, with --relax")
     warn(warnings)
     of_residues = [scores.residues.assign(file=row["file"], interface=scores.name) for row, scores in usable]

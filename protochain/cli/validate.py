@@ -13,7 +13,7 @@ from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, Inputs, check_outputs, files_of, with_settings
 from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.errors import ProtochainError
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -151,7 +151,7 @@ def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
         print_rows(["file", *shown.values()], cells)
     for row in rows:
         lines = row["findings"]
-        further = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
+        further = f"and {plural(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = mapping and f"chains of the reference and their match: {mapping}"
         parts = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and further]

@@ -7,7 +7,7 @@ from time import monotonic
 from weakref import finalize
 
 from protochain.core.arrays import Floats, Watcher
-from protochain.core.checks import at_least, checked, optional
+from protochain.core.checks import at_least, check_arguments, optional
 
 _SHOWN = {
     "energy_kj_mol": "{:.1f} kJ/mol",
@@ -21,7 +21,7 @@ _EVERY = 0.1
 """s between updates of the bar."""
 
 
-@checked(total=optional(at_least(1)))
+@check_arguments(total=optional(at_least(1)))
 def progress(title: str = "", *, total: int | None = None) -> Watcher:
     """Show a progress bar, with the stage of the run: ``minimise(..., watch=pc.progress("lbfgs"))``.
 

@@ -10,7 +10,14 @@ from protochain.chains.articulate import with_energy
 from protochain.comparison.comparison import Comparison
 from protochain.core import defaults
 from protochain.core.arrays import Watcher
-from protochain.core.checks import at_least, checked, function, refuse_misplaced, refuse_unknown, several
+from protochain.core.checks import (
+    at_least,
+    check_arguments,
+    function,
+    refuse_misplaced,
+    refuse_unknown,
+    several,
+)
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
@@ -26,7 +33,7 @@ SETTINGS = tuple(
 """Settings of a minimisation that a comparison has too, without restraints to the start."""
 
 
-@checked(methods=several, repeats=at_least(1), watch=function("method"))
+@check_arguments(methods=several, repeats=at_least(1), watch=function("method"))
 @held_interrupts()
 def compare(
     structure: Any,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import checked, selection
+from protochain.core.checks import check_arguments, selection
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
@@ -56,7 +56,7 @@ COLUMNS = (
 )
 
 
-@checked(align=selection, measure=selection)
+@check_arguments(align=selection, measure=selection)
 def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
     """Measure the deviation of a model from a reference.
 

@@ -9,7 +9,7 @@ import numpy as np
 from protochain.chains.articulate import build_chain, with_energy
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import floats
-from protochain.core.checks import checked, flag, function
+from protochain.core.checks import check_arguments, flag, function
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import minimise
@@ -23,7 +23,7 @@ _MOST = 60.0
 """kJ/mol above the lowest: upper limit of the map."""
 
 
-@checked(relax=flag, watch=function("done", "total"))
+@check_arguments(relax=flag, watch=function("done", "total"))
 def scan(
     chain: Any, energy: Any = None, grids: Mapping[str, Any] | None = None, *, relax: bool = False,
     watch: Callable[[int, int], None] | None = None,

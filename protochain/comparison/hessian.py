@@ -12,7 +12,7 @@ from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Chain, pose, pull_back
 from protochain.comparison.pair_hessian import applies, colours, pair_hessian
 from protochain.core.arrays import Floats, finite, floats
-from protochain.core.checks import checked
+from protochain.core.checks import check_arguments
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies import Energy, NativeEnergy
 from protochain.mechanics import multibody
@@ -118,7 +118,7 @@ def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     return torques
 
 
-@checked()
+@check_arguments()
 def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     """Second derivatives of the potential energy in the freedoms of a chain.
 
@@ -159,7 +159,7 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     return torques_at(chain, energy, q).matrix(np.arange(chain.n_v))
 
 
-@checked()
+@check_arguments()
 def hessian_product(chain: Any, energy: Any, q: Any, direction: Any) -> Floats:
     """Hessian of the potential energy times a direction, by two evaluations and without the matrix.
 

@@ -11,7 +11,7 @@ from scipy.special import xlogy
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Value, means_by
 from protochain.core.checks import quantity
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
 from protochain.energies import Energy
 from protochain.mechanics import multibody
@@ -175,7 +175,7 @@ class NormalModes(Value):
 
     def _check_mode(self, mode: int) -> int:
         if not isinstance(mode, int | np.integer) or not 0 <= mode < self.n_modes:
-            raise refused("mode", repr(mode), f"give a whole number from 0 to {self.n_modes - 1}")
+            raise refusal("mode", repr(mode), f"give a whole number from 0 to {self.n_modes - 1}")
         return int(mode)
 
     @cached_property
@@ -470,5 +470,5 @@ def checked_amplitude(amplitude: Any) -> float:
 def _positive(value: Any, name: str, unit: str) -> float:
     number = quantity(unit)(value, name)
     if not 0.0 < number < np.inf:
-        raise refused(name, number, "give a number above 0")
+        raise refusal(name, number, "give a number above 0")
     return number

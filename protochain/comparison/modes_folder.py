@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from protochain.comparison.modes import NormalModes
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.palette import COLOURS
 from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
@@ -129,7 +129,7 @@ def write_modes(
         models=[text(end) for end in (structure, *ends)],
         amplitude=amplitude,
         command=command_line(),
-        size=counted(structure.n_protein_residues, "residue"),
+        size=plural(structure.n_protein_residues, "residue"),
     )
     write_text(folder / "summary.json", json_text(full_record, 1) + "\n")
     return full_record

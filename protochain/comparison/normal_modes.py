@@ -27,7 +27,7 @@ from protochain.comparison.hessian import Torques, torques_at
 from protochain.comparison.modes import NormalModes
 from protochain.comparison.pair_hessian import applies
 from protochain.core.arrays import Floats, floats, read_only
-from protochain.core.checks import at_least, checked, one_of, text
+from protochain.core.checks import at_least, check_arguments, one_of, text
 from protochain.core.errors import Fault, ProtochainError
 from protochain.mechanics import multibody
 from protochain.minimisers.curvature import near_terms
@@ -137,7 +137,7 @@ class Inertia:
         )
 
 
-@checked(k=at_least(1), method=text)
+@check_arguments(k=at_least(1), method=text)
 def normal_modes(
     chain: Any, energy: Any = None, q: Any = None, k: int = 20, *, method: str = "auto"
 ) -> NormalModes:

@@ -7,7 +7,7 @@ import numpy as np
 from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats, angle, distance
-from protochain.core.checks import checked, instance
+from protochain.core.checks import check_arguments, instance
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers import Solution
@@ -17,7 +17,7 @@ from protochain.validation import measures
 from protochain.validation.bonding import hydrogen_bonds, secondary_structure
 
 
-@checked(chain=instance(Chain, "pc.build_chain(structure)"))
+@check_arguments(chain=instance(Chain, "pc.build_chain(structure)"))
 def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> dict[str, Any]:
     """Measure the quality of a structure, alone and against a start.
 

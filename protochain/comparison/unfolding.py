@@ -17,8 +17,8 @@ from protochain.chains.chain import Chain, pose, pull_back
 from protochain.chains.contacts import alpha_contacts
 from protochain.comparison.hessian import torques_at
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import checked, function, number
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.checks import check_arguments, function, number
+from protochain.core.errors import ProtochainError, refusal
 from protochain.core.interrupts import held_interrupts
 from protochain.mechanics import multibody
 from protochain.structure import Structure
@@ -118,7 +118,7 @@ class Unfolding(Value):
         return pd.DataFrame({"step": steps, "energy_kj_mol": self.energies, "contacts_share": self.shares})
 
 
-@checked(watch=function("step", "share"))
+@check_arguments(watch=function("step", "share"))
 def unfold(
     chain: Any, energy: Any = None, *, modes: int = 20, angle: float = 0.01, until: float = 0.2,
     max_steps: int = 4000, watch: Callable[[int, float], None] | None = None,
@@ -160,12 +160,12 @@ def unfold(
     """
     chain, energy = with_energy(chain, energy)
     if not 0.0 < number(angle, "angle") <= 0.1:
-        raise refused("angle", f"{angle:g}", "give a number above 0, at most 0.1, in rad")
+        raise refusal("angle", f"{angle:g}", "give a number above 0, at most 0.1, in rad")
     if not 0.0 <= number(until, "until") < 1.0:
-        raise refused("until", f"{until:g}", "give a share from 0 to below 1")
+        raise refusal("until", f"{until:g}", "give a share from 0 to below 1")
     for name, value in (("modes", modes), ("max_steps", max_steps)):
         if not isinstance(value, int | np.integer) or value < 1:
-            raise refused(name, repr(value), "give a whole number of at least 1")
+            raise refusal(name, repr(value), "give a whole number of at least 1")
     contacts = NativeContacts.of_structure(chain.structure)
     torques = torques_at(chain, energy, None)
     # Roots stay in place: the motion of the whole changes no contact.

@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.markup import excerpt
 
 Check = Callable[[Any, str], Any]
@@ -21,7 +21,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def check_arguments(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function whose arguments of these names are checked before a call, without defaults."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -85,7 +85,7 @@ def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
         return value  # type: ignore[return-value]  # numpy's numbers, too
-    raise refused(name, shown(value), *_instead(value, "a number", name))
+    raise refusal(name, brief(value), *_instead(value, "a number", name))
 
 
 def acidity(value: Any, name: str) -> float:
@@ -116,7 +116,7 @@ def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
         return int(value) if isinstance(value, Integral) else round(float(value))
-    raise refused(name, shown(value), *_instead(value, "a whole number", name))
+    raise refusal(name, brief(value), *_instead(value, "a whole number", name))
 
 
 def at_least(least: int) -> Check:
@@ -125,7 +125,7 @@ def at_least(least: int) -> Check:
     def check(value: Any, name: str) -> int:
         count = integer(value, name)
         if count < least:
-            raise refused(name, count, f"give at least {least}" if least else "give 0 or more")
+            raise refusal(name, count, f"give at least {least}" if least else "give 0 or more")
         return count
 
     return check
@@ -137,7 +137,7 @@ def in_range(check: Check, allows: Callable[[float], bool], remedy: str, unit: s
     def narrower(value: Any, name: str) -> Any:
         number_found = check(value, name)
         if not allows(number_found):
-            raise refused(name, f"{number_found:g}{unit and ' '}{unit}", remedy)
+            raise refusal(name, f"{number_found:g}{unit and ' '}{unit}", remedy)
         return number_found
 
     return narrower
@@ -182,9 +182,9 @@ def cutoff_of(value: Any, name: str) -> Any:
     except ValueError:
         distance = 0.0
     if not 0.0 < distance <= LONGEST_CUTOFF:
-        raise refused(name, shown(value), "give a distance in nm, auto, or none")
+        raise refusal(name, brief(value), "give a distance in nm, auto, or none")
     if distance < SHORTEST_CUTOFF:
-        raise refused(
+        raise refusal(
             name,
             f"{distance:g} nm",
             f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
@@ -202,7 +202,7 @@ def accuracy_of(value: Any, name: str) -> Any:
         error = 0.0
     if 0.0 < error < float("inf"):
         return error
-    raise refused(name, shown(value), "give an RMS error of the forces in kJ/mol/nm, auto, or exact")
+    raise refusal(name, brief(value), "give an RMS error of the forces in kJ/mol/nm, auto, or exact")
 
 
 LONGEST_CUTOFF = 1e6
@@ -217,7 +217,7 @@ def text(value: Any, name: str) -> str:
     """Return a text as it is."""
     if isinstance(value, str):
         return value
-    raise refused(name, shown(value), "give a text")
+    raise refusal(name, brief(value), "give a text")
 
 
 def refuse_unknown(value: str, name: str, choices: Iterable[str]) -> None:
@@ -244,14 +244,14 @@ def selection(value: Any, name: str) -> str:
     """Return a text that selects atoms."""
     if text(value, name).strip():
         return str(value)
-    raise refused(name, shown(value), "selects nothing; give a selection, as 'resid 5:20', or all")
+    raise refusal(name, brief(value), "selects nothing; give a selection, as 'resid 5:20', or all")
 
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False as a bool."""
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return bool(value)
-    raise refused(name, shown(value), "give True or False")
+    raise refusal(name, brief(value), "give True or False")
 
 
 def path(value: Any, name: str) -> Path:
@@ -259,7 +259,7 @@ def path(value: Any, name: str) -> Path:
     try:
         return Path(value)
     except TypeError:
-        raise refused(name, shown(value), "give the path of a file") from None
+        raise refusal(name, brief(value), "give the path of a file") from None
 
 
 def file_name(value: Any, name: str) -> str:
@@ -278,7 +278,7 @@ def sequences(value: Any, name: str) -> str:
     if _is_file(file) and (not sign or number.isdecimal()):
         specification = _read_fasta(Path(file), int(number or 0), name)
     if specification and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", specification.upper()):
-        raise refused(name, shown(value), "give a FASTA file, or letters, with / between chains")
+        raise refusal(name, brief(value), "give a FASTA file, or letters, with / between chains")
     entries = (entry.rpartition("=") for entry in specification.split("/"))
     return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in entries)
 
@@ -303,7 +303,7 @@ def _read_fasta(file: Path, number: int, name: str) -> str:
         )
     if number > len(split) or (not number and len(split) > 1):
         problem = f"has {len(split)} records; choose one as {file}#{len(split)}"
-        raise refused(name, shown(f"{file}#{number}" if number else str(file)), problem)
+        raise refusal(name, brief(f"{file}#{number}" if number else str(file)), problem)
     return "/".join(split[max(number, 1) - 1][1])
 
 
@@ -329,12 +329,12 @@ def bonds(value: Any, name: str) -> tuple[Bond, ...]:
         return ()
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, Iterable):
-        raise refused(name, shown(value), "give pairs, as [('A:3', 'A:40')]")
+        raise refusal(name, brief(value), "give pairs, as [('A:3', 'A:40')]")
     bonds = [bond for entry in entries for bond in (words(entry) if isinstance(entry, str) else [entry])]
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in bonds)
     if not read:
         remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
-        raise refused(name, shown(value), *remedy)
+        raise refusal(name, brief(value), *remedy)
     return read
 
 
@@ -346,7 +346,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
             return matches[1], matches[2]
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
-    raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
+    raise refusal(name, brief(bond), "give chain:number-chain:number, as A:3-A:40")
 
 
 CHARGE_RULES = ("nagl", "mmff94", "gasteiger")
@@ -357,7 +357,7 @@ def charges_of_ligands(value: Any, name: str) -> str:
     """Return a rule for charges, or the path of a file of them, as text."""
     if file_name(value, name) in CHARGE_RULES or Path(value).is_file():
         return str(value)
-    raise refused(name, shown(value), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
+    raise refusal(name, brief(value), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
 
 
 LigandSource = tuple[str, str]
@@ -382,12 +382,12 @@ def ligands(value: Any, name: str) -> tuple[LigandSource, ...]:
     elif isinstance(value, str | Path):
         value = [value]
     if not isinstance(value, Iterable):
-        raise refused(name, shown(value), "give names and molecules, as {'LIG': 'ligand.sdf'}")
+        raise refusal(name, brief(value), "give names and molecules, as {'LIG': 'ligand.sdf'}")
     read = tuple(_ligand(ligand, name) for ligand in value)
     codes = [code for code, _ in read if code]
     twice = next((code for code in codes if codes.count(code) > 1), None)
     if twice:
-        raise refused(name, repr(twice), "is given twice; give each name one molecule")
+        raise refusal(name, repr(twice), "is given twice; give each name one molecule")
     return read
 
 
@@ -395,8 +395,8 @@ def _ligand(value: Any, name: str) -> LigandSource:
     last = str(value[-1] if isinstance(value, tuple | list) and value else value).rpartition("=")[2]
     if last.lower().endswith(".pdbqt"):
         to = last[: -len("pdbqt")] + "sdf"
-        raise refused(
-            name, shown(value), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
+        raise refusal(
+            name, brief(value), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
         )
     if isinstance(value, tuple | list) and len(value) == 2:
         residue_name, source = value
@@ -412,10 +412,10 @@ def _ligand(value: Any, name: str) -> LigandSource:
         ):
             residue_name, source = before, after
         elif not is_file and not Path(str(value)).is_dir():
-            raise refused(name, shown(value), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
+            raise refusal(name, brief(value), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
     if isinstance(residue_name, str) and isinstance(source, str | Path) and str(source).strip():
         return residue_name.strip().upper(), str(source).strip()
-    raise refused(name, shown(value), "give a name and a file or SMILES, as LIG=ligand.sdf")
+    raise refusal(name, brief(value), "give a name and a file or SMILES, as LIG=ligand.sdf")
 
 
 _SUFFIXES = ", ".join(MOLECULE_SUFFIXES)
@@ -431,7 +431,7 @@ def ends(value: Any, name: str) -> tuple[str, str]:
         read = tuple(value) if isinstance(value, tuple | list) else ()
     if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
         return read[0].strip(), read[1].strip()
-    raise refused(name, shown(value), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
+    raise refusal(name, brief(value), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
 
 
 _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
@@ -462,8 +462,8 @@ def function(*parameters: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if value is None or (callable(value) and _takes(value, len(parameters))):
             return value
-        value_text = getattr(value, "__qualname__", None) or shown(value)
-        raise refused(name, value_text, f"give a callable of {', '.join(parameters)}")
+        value_text = getattr(value, "__qualname__", None) or brief(value)
+        raise refusal(name, value_text, f"give a callable of {', '.join(parameters)}")
 
     return check
 
@@ -478,7 +478,7 @@ def instance(kind: type, remedy: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
             return value
-        raise refused(name, shown(value), f"give a {kind.__name__}, as of {remedy}")
+        raise refusal(name, brief(value), f"give a {kind.__name__}, as of {remedy}")
 
     return check
 
@@ -510,7 +510,7 @@ def _texts(value: Any, name: str) -> list[str]:
     items = list(value) if isinstance(value, Iterable) else [value]
     strange = next((item for item in items if not isinstance(item, str)), None)
     if strange is not None or not isinstance(value, Iterable):
-        raise refused(name, shown(value), "give words, as one text or a list")
+        raise refusal(name, brief(value), "give words, as one text or a list")
     return items
 
 
@@ -524,8 +524,8 @@ def _takes(value: Any, n: int) -> bool:
     return True
 
 
-def shown(value: Any) -> str:
-    """Return a value as it is shown in a message: short, and on one line."""
+def brief(value: Any) -> str:
+    """Return a short text of a value for a message, on one line."""
     stated = " ".join(repr(value).split())
     return stated if len(stated) <= 60 else f"of type {type(value).__name__}"
 

@@ -62,7 +62,7 @@ class Fault(Enum):
 class ProtochainError(ValueError):
     """Bad input: one line that names the file, the place and the remedy.
 
-    Its text names arguments as Python does, :meth:`told` as the caller knows them.
+    Its text names arguments as Python does, :meth:`render` as the caller knows them.
 
     Parameters
     ----------
@@ -88,21 +88,21 @@ class ProtochainError(ValueError):
             self.fault = fault
 
     def __str__(self) -> str:
-        return self.told(str)
+        return self.render(str)
 
     @property
     def parts(self) -> tuple[object, ...]:
         """The line in parts, for an error with a longer message."""
         return self.args
 
-    def told(self, say: Callable[["Argument | Angle"], str]) -> str:
+    def render(self, say: Callable[["Argument | Angle"], str]) -> str:
         """Return the line with arguments and angles in the words of ``say``."""
         return "".join(say(part) if isinstance(part, Argument | Angle) else str(part) for part in self.parts)
 
 
-def refused(name: str, given: object, *remedy: object) -> ProtochainError:
+def refusal(name: str, value: object, *remedy: object) -> ProtochainError:
     """Return the refusal of an argument: its name, its value, and the remedy."""
-    return ProtochainError(Argument(name), f" {given}: ", *remedy)
+    return ProtochainError(Argument(name), f" {value}: ", *remedy)
 
 
 class WriteError(ProtochainError):

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 
-def counted(n: int, noun: str, several: str = "") -> str:
+def plural(n: int, noun: str, several: str = "") -> str:
     """Return a number and its noun: ``1 round``, ``2 rounds``, or an irregular plural."""
     return f"{n} {noun if n == 1 else several or noun + 's'}"
 
@@ -14,7 +14,7 @@ def excerpt(text: str) -> str:
     return text if len(text) <= 100 else f"{text[:100]}..."
 
 
-def listed(places: Sequence[str], shown: int = 6) -> str:
+def shorten(places: Sequence[str], shown: int = 6) -> str:
     """The first of some places, and how many more there are."""
     remainder = f" and {len(places) - shown} more" if len(places) > shown else ""
     return ", ".join(places[:shown]) + remainder

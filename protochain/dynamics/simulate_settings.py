@@ -11,6 +11,7 @@ from protochain.core import defaults
 from protochain.core.checks import (
     Check,
     at_least,
+    brief,
     check_fields,
     ends,
     flag,
@@ -19,10 +20,9 @@ from protochain.core.checks import (
     optional,
     quantity,
     refuse_unknown,
-    shown,
     text,
 )
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.settings import Settings, document_settings, setting
 from protochain.core.units import MOLAR_GAS
 
@@ -171,7 +171,7 @@ class HingeSpring:
         springs = [cls.read(item, name) if isinstance(item, str) else item for item in items]
         for spring in springs:
             if not isinstance(spring, cls):
-                raise refused(name, shown(spring), "give HingeSprings, as of 'omega 40 0.5'")
+                raise refusal(name, brief(spring), "give HingeSprings, as of 'omega 40 0.5'")
         return tuple(springs)
 
     def __str__(self) -> str:
@@ -182,9 +182,9 @@ def _picoseconds(femtoseconds: float) -> float:
     """Time step of the command line, or an error if it was probably meant in another unit."""
     text = f"{femtoseconds:g} fs"
     if not 0.0 < femtoseconds < 1000.0 * LONGEST_STEP:
-        raise refused("time_step", text, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
+        raise refusal("time_step", text, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
     if femtoseconds < _SHORTEST:
-        raise refused(
+        raise refusal(
             "time_step", text, f"give femtoseconds: {1000.0 * femtoseconds:g} are {femtoseconds:g} ps"
         )
     return femtoseconds / 1000.0

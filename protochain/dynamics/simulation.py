@@ -14,7 +14,7 @@ from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd, measure_restraints
 from protochain.core.arrays import Floats
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
@@ -203,7 +203,7 @@ def describe_outcome(
     ending: Ending, reason: str, step: int, settings: SimulationSettings, structure: Structure, start: Floats
 ) -> str:
     """Outcome of a simulation in one line, with a remedy if it has become unstable."""
-    progress = f"{counted(step, 'step')}, {step * settings.time_step:g} ps"
+    progress = f"{plural(step, 'step')}, {step * settings.time_step:g} ps"
     if ending is not Ending.UNSTABLE:
         return f"{ending}: {progress}"
     crowd = len(overlaps(structure, start))

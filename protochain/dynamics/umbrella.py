@@ -13,8 +13,8 @@ from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, finite
-from protochain.core.checks import at_least, checked, instance, quantity, shown
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.checks import at_least, brief, check_arguments, instance, quantity
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 from protochain.dynamics.simulate_chain import simulate
@@ -27,7 +27,7 @@ _CENTRE_TOLERANCE = 1e-6
 """Degrees or angstrom. Nearer centres count as equal."""
 
 
-@checked(coordinate=_COORDINATE, n_equilibrate=at_least(0), temperature=quantity("kelvin"))
+@check_arguments(coordinate=_COORDINATE, n_equilibrate=at_least(0), temperature=quantity("kelvin"))
 def umbrella(
     chain: Any, energy: Any, coordinate: Restraint, centres: Sequence[float], *,
     edges: Sequence[float] | None = None, n_equilibrate: int = 20,
@@ -114,7 +114,7 @@ def umbrella(
     filled, samples = np.unique(of_bin[of_bin >= 0], return_counts=True)
     if not len(filled):
         reach = f"{values.min():.4g} to {values.max():.4g}"
-        raise refused("edges", shown(bins.tolist()), f"no samples between them, but from {reach}")
+        raise refusal("edges", brief(bins.tolist()), f"no samples between them, but from {reach}")
     with warnings.catch_warnings():
         # Its solvers warn of options of other solvers.
         warnings.simplefilter("ignore")
@@ -124,7 +124,7 @@ def umbrella(
     # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then relates the groups.
     if len(x) * mbar.compute_overlap()["scalar"] < 1.0:
         remedy = "the windows do not overlap; give more, or a softer spring"
-        raise refused("centres", shown(at.tolist()), remedy)
+        raise refusal("centres", brief(at.tolist()), remedy)
     # Weights without a bias, by bin: equation 13 of Shirts and Chodera with u = 0.
     unbiased = np.asarray(mbar.Log_W_nk)[:, 0] + bias[0]
     weights = np.exp(unbiased - unbiased.max())[:, None] * (of_bin[:, None] == filled)
@@ -153,13 +153,13 @@ def _variance(series: Floats, inefficiency: Callable[[Floats], float]) -> float:
 def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     """Edges of the bins, as requested, or halfway between sorted centres, also across the circle."""
     if np.isinf(circle) and at[0] < 0.0:
-        raise refused("centres", f"{at[0]:g}", "give distances of 0 or more")
+        raise refusal("centres", f"{at[0]:g}", "give distances of 0 or more")
     gaps = np.diff(at, append=at[0] + circle)
     if np.min(gaps) < _CENTRE_TOLERANCE:
         near = int(np.argmin(gaps))
         pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"
         full_circle = " or more than a full circle apart" if np.isfinite(circle) else ""
-        raise refused("centres", pair, f"these are equal{full_circle}; give different ones")
+        raise refusal("centres", pair, f"these are equal{full_circle}; give different ones")
     if edges is None:
         low, high = (0.5 * min(gaps[k], gaps[-1]) for k in (0, -2))
         low = at[0] - low if np.isfinite(circle) else max(at[0] - low, 0.0)
@@ -167,7 +167,7 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     bins = finite(edges, (np.size(edges),), "edges")
     if len(bins) < 2 or np.min(np.diff(bins)) <= 0.0 or bins[-1] - bins[0] > circle:
         turn = " within 360 degrees" if np.isfinite(circle) else ""
-        raise refused("edges", shown(bins.tolist()), f"give two or more in rising order{turn}")
+        raise refusal("edges", brief(bins.tolist()), f"give two or more in rising order{turn}")
     return bins
 
 

@@ -7,7 +7,7 @@ import openmm
 from openmm import app, unit
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import checked, instance, shown
+from protochain.core.checks import brief, check_arguments, instance
 from protochain.core.errors import ProtochainError
 from protochain.energies.custom import as_energy
 from protochain.energies.factory import energy
@@ -94,7 +94,7 @@ def energy_from(calculator: Any, structure: Any) -> Energy:
     model = as_structure(structure)
     calc = getattr(calculator, "calc", calculator)
     if not callable(getattr(calc, "get_potential_energy", None)) or isinstance(calc, type):
-        description = shown(calculator)
+        description = brief(calculator)
         raise ProtochainError(f"calculator {description}: give a calculator of ASE, or Atoms with one")
     atoms = Atoms(model.atom_element.tolist(), model.positions * nm, masses=model.atom_mass, calculator=calc)
 
@@ -111,7 +111,7 @@ _SAME_PLACE = 1e-6
 _SIMULATION = instance(app.Simulation, "openmm.app.Simulation(topology, system, integrator)")
 
 
-@checked(simulation=_SIMULATION)
+@check_arguments(simulation=_SIMULATION)
 def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
     """Structure and energy of an OpenMM simulation in its current state.
 
@@ -167,7 +167,7 @@ def _count_bare_constraints(system: openmm.System) -> int:
     return sum(frozenset(pair) not in bonded for pair in pairs)
 
 
-@checked(simulation=_SIMULATION)
+@check_arguments(simulation=_SIMULATION)
 def to_simulation(structure: Any, simulation: Any) -> None:
     """Set the positions of an OpenMM simulation to a structure, without changing its velocities.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import plain, refuse_class, shown
+from protochain.core.checks import brief, plain, refuse_class
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies.factory import energy, has_energy
 from protochain.energies.protocol import Energy, check_is_of
@@ -69,10 +69,10 @@ def call_user(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Fl
     # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
     returned = function(np.array(x))
     if not isinstance(returned, tuple | list) or len(returned) != 2:
-        raise ProtochainError(f"{name}: return (energy, forces), not {shown(returned)}")
+        raise ProtochainError(f"{name}: return (energy, forces), not {brief(returned)}")
     value, forces = (_real(part) for part in returned)
     if value is None or value.size != 1 or forces is None:
-        values = f"{shown(returned[0])} and {shown(returned[1])}"
+        values = f"{brief(returned[0])} and {brief(returned[1])}"
         raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {values}")
     if forces.shape != np.shape(x):
         raise ProtochainError(

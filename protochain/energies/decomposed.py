@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, distance
-from protochain.core.checks import checked, file_name, one_of, optional, text
+from protochain.core.checks import check_arguments, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import without_none
 from protochain.energies.custom import as_energy
@@ -81,7 +81,7 @@ class Decomposed(Value):
         return dict(zip(TERMS, self.shares.sum(axis=1).tolist(), strict=True))
 
 
-@checked(forcefield=file_name, solvent=text, by=one_of(BY), energy=optional(an_energy))
+@check_arguments(forcefield=file_name, solvent=text, by=one_of(BY), energy=optional(an_energy))
 def energy_terms(
     source: Any,
     by: str = "term",

@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.checks import (
     accuracy_of,
     at_least,
-    checked,
+    check_arguments,
     cutoff_of,
     file_name,
     flag,
@@ -115,7 +115,7 @@ def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[s
     return build(source, **(settings | arguments))
 
 
-@checked(
+@check_arguments(
     forcefield=file_name, solvent=text, engine=one_of(ENGINES), device=one_of(DEVICES), cutoff=cutoff_of,
     accuracy=accuracy_of,
     threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import shown
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.checks import brief
+from protochain.core.errors import ProtochainError, refusal
 from protochain.structure.molecule.model import Structure
 
 
@@ -92,7 +92,7 @@ def an_energy(value: Any, name: str) -> Energy:
     """Return an Energy unchanged. One method identifies it: a check of all would compute the properties."""
     if hasattr(value, "without_constants"):
         return value
-    raise refused(name, shown(value), "give an Energy, as of protochain.energy(structure)")
+    raise refusal(name, brief(value), "give an Energy, as of protochain.energy(structure)")
 
 
 def check_is_of(energy: Energy, structure: Structure) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats
-from protochain.core.checks import CHARGE_RULES, acidity, checked, file_name, optional, path, text
+from protochain.core.checks import CHARGE_RULES, acidity, check_arguments, file_name, optional, path, text
 from protochain.core.errors import Argument, StructureError
 from protochain.ligands import charges as charging
 from protochain.ligands import energy, nagl, smirnoff
@@ -78,7 +78,7 @@ def _file_or_smiles(value: Any, name: str) -> str | Path:
     return value if isinstance(value, Path) else text(value, name)
 
 
-@checked(molecule=_file_or_smiles, charges=file_name, forcefield=optional(path), ph=optional(acidity))
+@check_arguments(molecule=_file_or_smiles, charges=file_name, forcefield=optional(path), ph=optional(acidity))
 def ligand(
     molecule: str | Path,
     charges: str | Path = defaults.LIGAND_CHARGES,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
@@ -102,7 +102,7 @@ class Hinge(Named):
         label = f"{self.label}: its"
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
-            raise MechanicsError(f"{label} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
+            raise MechanicsError(f"{label} kind {brief(self.kind)}: give {', '.join(kinds)} or {last}")
         self.fix(pitch=number(self.pitch, f"{label} pitch"))
         self.fix(armature=float(not_negative(self.armature, f"{label} armature")))
         for name in ("q", "qd"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Phase
 from protochain.mechanics.multibody import Frames
@@ -59,7 +59,7 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
         b = bodies.number(name, "bending")
         if b < 0 or not isinstance(sections, Shapes):
             raise MechanicsError(
-                f'bending: "{name}": {shown(sections)}: give Shapes of a body, as assumed_modes()'
+                f'bending: "{name}": {brief(sections)}: give Shapes of a body, as assumed_modes()'
             )
         shapes_of[b] = _rotate(sections, bodies.turn[b].T)
     section = np.full(tree.n_bodies, -1)

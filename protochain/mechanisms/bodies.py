@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import qr
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, HingeKind, Tree
@@ -236,7 +236,7 @@ class State:
     def _arm(self, body: str, at: ArrayLike) -> Floats:
         arm = np.asarray(at, dtype=float)
         if arm.shape != (3,):
-            raise MechanicsError(f'the point {shown(at)} of "{body}": give three numbers, as (0, 0, 1)')
+            raise MechanicsError(f'the point {brief(at)} of "{body}": give three numbers, as (0, 0, 1)')
         return np.asarray(self.rotation(body) @ arm)
 
 

@@ -113,9 +113,9 @@ class Bushings(Rows):
 def axes_of(rotation: Floats, b: int, axes: algebra.Matrix) -> algebra.Matrix:
     """Axes fixed in a body, in the world, as rows of the result, so that ``turned`` resolves along them."""
     turn = algebra.matrix(rotation, b) if b >= 0 else WORLD[0]
-    x = algebra.turned(turn, (axes[0], axes[3], axes[6]))
-    y = algebra.turned(turn, (axes[1], axes[4], axes[7]))
-    z = algebra.turned(turn, (axes[2], axes[5], axes[8]))
+    x = algebra.rotate(turn, (axes[0], axes[3], axes[6]))
+    y = algebra.rotate(turn, (axes[1], axes[4], axes[7]))
+    z = algebra.rotate(turn, (axes[2], axes[5], axes[8]))
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
@@ -144,9 +144,9 @@ def rotation_vector(r: algebra.Matrix) -> Vector:
 def _turned_away(rotation: Floats, a: int, axes_a: algebra.Matrix, along: algebra.Matrix) -> Vector:
     """Rotation vector of a's axes in the axes of b, whose rows are ``along``."""
     rows = axes_of(rotation, a, axes_a)
-    x = algebra.turned(along, (rows[0], rows[1], rows[2]))
-    y = algebra.turned(along, (rows[3], rows[4], rows[5]))
-    z = algebra.turned(along, (rows[6], rows[7], rows[8]))
+    x = algebra.rotate(along, (rows[0], rows[1], rows[2]))
+    y = algebra.rotate(along, (rows[3], rows[4], rows[5]))
+    z = algebra.rotate(along, (rows[6], rows[7], rows[8]))
     return rotation_vector((x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
@@ -166,14 +166,14 @@ def _bend(
         if dot(theta, theta) > HALF_A_TURN * HALF_A_TURN:
             return -1.0 - i
         gap = subtract(place_a, place_b)
-        d = algebra.turned(along, gap)
+        d = algebra.rotate(along, gap)
         k, s = algebra.vector(stiffness, i, 0), algebra.vector(stiffness, i, 3)
         moment = (k[0] * theta[0], k[1] * theta[1], k[2] * theta[2])
         force = (s[0] * d[0], s[1] * d[1], s[2] * d[2])
         energy += 0.5 * (dot(moment, theta) + dot(force, d))
         # The tangent at -theta is the transposed one.
-        moment = algebra.turned_back(along, tangent_inverse(scale(-1.0, theta), moment))
-        force = algebra.turned_back(along, force)
+        moment = algebra.rotate_back(along, tangent_inverse(scale(-1.0, theta), moment))
+        force = algebra.rotate_back(along, force)
         _apply(scale(-1.0, moment), scale(-1.0, force), a, b, arm_a, add(arm_b, gap), wrenches)
     return energy
 
@@ -192,10 +192,10 @@ def _resist(
         along = axes_of(rotation, b, algebra.matrix(axes, i))
         spin = subtract(_spin_of(twists, a), _spin_of(twists, b))
         speed = subtract(speed_of(twists, a, arm_a), speed_of(twists, b, arm_b))
-        w, u = algebra.turned(along, spin), algebra.turned(along, speed)
+        w, u = algebra.rotate(along, spin), algebra.rotate(along, speed)
         c, e = algebra.vector(damping, i, 0), algebra.vector(damping, i, 3)
-        moment = algebra.turned_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
-        force = algebra.turned_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
+        moment = algebra.rotate_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
+        force = algebra.rotate_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
         _apply(moment, force, a, b, arm_a, arm_b, wrenches)
 
 

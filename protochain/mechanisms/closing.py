@@ -9,7 +9,7 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, read_only
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanisms.assemble import with_z_along
@@ -79,7 +79,7 @@ class Closing(Between):
         if not (isinstance(self.kind, str) and self.kind in _SLIDES):
             *kinds, last = sorted(_SLIDES)
             raise MechanicsError(
-                f"{self.label}: its kind {shown(self.kind)}: give {', '.join(kinds)} or {last}"
+                f"{self.label}: its kind {brief(self.kind)}: give {', '.join(kinds)} or {last}"
             )
         if (self.kind == "universal") != (self.axis_b is not None):
             raise MechanicsError(f"{self.label}: axis_b belongs to kind universal, which needs it")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from protochain.core.arrays import read_only
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Load
 from protochain.mechanisms.bodies import Bodies
@@ -201,7 +201,7 @@ class Contact(Named):
             ("friction", Friction | None, "a Friction, or none"),
         ):
             if not isinstance(getattr(self, name), kind):
-                raise MechanicsError(f"{self.label}: {name} {shown(getattr(self, name))}: give {remedy}")
+                raise MechanicsError(f"{self.label}: {name} {brief(getattr(self, name))}: give {remedy}")
 
     def _balls(self, value: Any, name: str) -> tuple[Ball, ...]:
         """Balls, or points."""
@@ -209,7 +209,7 @@ class Contact(Named):
         if not all(isinstance(ball, Ball) for ball in balls):
             remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
             also = ", a plane, a surface, or None" if name == "other" else ""
-            raise MechanicsError(f"{self.label}: {name} {shown(value)}: give {remedy}{also}")
+            raise MechanicsError(f"{self.label}: {name} {brief(value)}: give {remedy}{also}")
         return balls
 
     def bind(self, bodies: Bodies) -> Acting:

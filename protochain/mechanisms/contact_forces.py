@@ -205,7 +205,7 @@ def _inside(rotation: Floats, origin: Floats, b: int, place: Vector) -> Vector:
     """Place in the frame of a body."""
     if b < 0:
         return place
-    return algebra.turned_back(algebra.matrix(rotation, b), subtract(place, algebra.vector(origin, b)))
+    return algebra.rotate_back(algebra.matrix(rotation, b), subtract(place, algebra.vector(origin, b)))
 
 
 @kernel

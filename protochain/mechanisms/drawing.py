@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
@@ -72,7 +72,7 @@ class Block:
 
     def __post_init__(self) -> None:
         if np.any(numbers(self.edges, (3,), f'edges of a block of "{self.body}"') < 0.0):
-            raise MechanicsError(f'edges {shown(self.edges)} of a block of "{self.body}": give none below 0')
+            raise MechanicsError(f'edges {brief(self.edges)} of a block of "{self.body}": give none below 0')
         numbers(self.at, (3,), f'the middle of a block of "{self.body}"')
 
 
@@ -181,10 +181,10 @@ def _check_shapes(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
     """Shapes of bodies that are there."""
     remedy = 'give a list of Ball, Rod and Block, as [Block("plate", (1, 1, 0.1))]'
     if isinstance(shapes, Shape) or not isinstance(shapes, Sequence) or isinstance(shapes, str):
-        raise MechanicsError(f"shapes {shown(shapes)}: {remedy}")
+        raise MechanicsError(f"shapes {brief(shapes)}: {remedy}")
     for shape in shapes:
         if not isinstance(shape, Shape):
-            raise MechanicsError(f"shapes: {shown(shape)} is none: {remedy}")
+            raise MechanicsError(f"shapes: {brief(shape)} is none: {remedy}")
         bodies.number(shape.body, "shapes")
     return shapes
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Drive
 from protochain.mechanisms.bodies import Bodies
@@ -26,7 +26,7 @@ class Driven(Named):
     def __post_init__(self) -> None:
         if not callable(self.motion):
             raise MechanicsError(
-                f"{self.label}: motion {shown(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
+                f"{self.label}: motion {brief(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
             )
 
     def at(self, time: float) -> tuple[float, float, float]:
@@ -38,7 +38,7 @@ class Driven(Named):
             q = qd = qdd = np.nan
         if not np.isfinite(q + qd + qdd):
             raise MechanicsError(
-                f"{self.label}: at time {time:g} it gives {shown(values)}; "
+                f"{self.label}: at time {time:g} it gives {brief(values)}; "
                 "give coordinate, rate and acceleration, finite"
             )
         return q, qd, qdd

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError, ProtochainError
 
 _KINDS = {
@@ -25,7 +25,7 @@ def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape != shape or not np.all(np.isfinite(array)) or isinstance(value, bool):
-        raise MechanicsError(f"{label} {shown(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
+        raise MechanicsError(f"{label} {brief(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
     return array
 
 
@@ -49,7 +49,7 @@ def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, label)
     if np.any(array < 0.0):
         raise MechanicsError(
-            f"{label} {shown(value)}: give none below zero, which would make energy of nothing",
+            f"{label} {brief(value)}: give none below zero, which would make energy of nothing",
             fault=Fault.NEGATIVE,
         )
     return array

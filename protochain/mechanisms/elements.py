@@ -259,7 +259,7 @@ def weigh(bodies: Floats, rotation: Floats, origin: Floats, gravity: Floats, wre
     energy, g = 0.0, algebra.vector_at(gravity, 0)
     for b in range(len(bodies)):
         turn, mass = algebra.matrix(rotation, b), bodies[b, MASS]
-        first = algebra.turned(turn, algebra.vector(bodies, b, FIRST_MOMENT))
+        first = algebra.rotate(turn, algebra.vector(bodies, b, FIRST_MOMENT))
         energy -= mass * dot(g, algebra.vector(origin, b)) + dot(g, first)
         algebra.add_pair(cross(first, g), scale(mass, g), wrenches, b)
     return energy

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cholesky, eigh, null_space, solve_triangular, svdvals
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
@@ -97,7 +97,7 @@ def linearise(
     freedoms = [model.bodies.freedom(hinge, "linearise")[1] for hinge in inputs]
     for function in outputs:
         if not callable(function) or n_parameters(function) not in (1, 2):
-            raise MechanicsError(f"output {shown(function)}: give a function of the state")
+            raise MechanicsError(f"output {brief(function)}: give a function of the state")
 
     def observe(state: State, qdd: Floats) -> Floats:
         arguments = (state, qdd)
@@ -124,7 +124,7 @@ class _Nearby:
     def of(cls, model: Model, at: Phase | None) -> Self:
         """States near one, by default near the start."""
         if not isinstance(model, Model):
-            raise MechanicsError(f"model {shown(model)}: give one, as build() makes it")
+            raise MechanicsError(f"model {brief(model)}: give one, as build() makes it")
         at = model.start() if at is None else at
         ways = model.directions_at(at)
         free = np.eye(model.tree.n_v)[:, model.tree.undriven_v]

@@ -9,7 +9,7 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
@@ -78,7 +78,7 @@ class Mechanism:
 
     def __init__(self, gravity: ArrayLike = NOWHERE, units: str = "rad") -> None:
         if units not in ("rad", "deg"):
-            raise MechanicsError(f"units {shown(units)}: give rad or deg")
+            raise MechanicsError(f"units {brief(units)}: give rad or deg")
         self._gravity = numbers(gravity, (3,), "gravity")
         self._degrees = units == "deg"
         self._bodies: dict[str, Body] = {}
@@ -243,7 +243,7 @@ class Mechanism:
         group, reserved = next((group, words) for kind, group, words in groups if isinstance(part, kind))
         name, noun = part.name, part.noun
         if not isinstance(name, str) or not name:
-            raise MechanicsError(f"the name {shown(name)} of a {noun}: give a text")
+            raise MechanicsError(f"the name {brief(name)} of a {noun}: give a text")
         if name in reserved:
             raise MechanicsError(f'"{name}" is no name for a {noun}: it has a meaning; give another')
         if name in group:

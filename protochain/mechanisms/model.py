@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince, Integrator, Phase, RungeKutta4, StepTooLargeError
@@ -101,23 +101,23 @@ class Model(Assembly):
         """
         start = self.start() if start is None else start
         if not isinstance(start, Phase):
-            raise MechanicsError(f"start {shown(start)}: give a phase, as the end of a run")
+            raise MechanicsError(f"start {brief(start)}: give a phase, as the end of a run")
         for name, value, least in (("until", until, start.time), ("time_step", time_step, 0.0)):
             if not (isinstance(value, int | float | np.floating) and least < value < np.inf):
-                raise MechanicsError(f"{name} {shown(value)}: give a finite number above {least:g}")
+                raise MechanicsError(f"{name} {brief(value)}: give a finite number above {least:g}")
         if not (isinstance(every, int) and every >= 1):
-            raise MechanicsError(f"every {shown(every)}: give a whole number from 1")
+            raise MechanicsError(f"every {brief(every)}: give a whole number from 1")
         chosen = RungeKutta4() if integrator is None else integrator
         # Of a Protocol there are no instances, but of a class that derives from it.
         if Integrator not in type(chosen).__mro__:
-            label = f"{chosen.__name__}, a class" if isinstance(chosen, type) else shown(chosen)
+            label = f"{chosen.__name__}, a class" if isinstance(chosen, type) else brief(chosen)
             raise MechanicsError(f"integrator {label}: give one, as RungeKutta4() or DormandPrince(1e-9)")
         if not start.is_finite:
             raise MechanicsError(
                 "at the start energy or forces are no numbers; see functions of loads and forces"
             )
         if not (isinstance(balance, int | float) and balance > 0.0):
-            raise MechanicsError(f"balance {shown(balance)}: give a number above 0, as inf to accept any")
+            raise MechanicsError(f"balance {brief(balance)}: give a number above 0, as inf to accept any")
         if self.drive is not None:
             for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
                 check_drive(self.bodies, self.drive, when, 1e-4 * time_step)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
@@ -57,7 +57,7 @@ class Motor(Named):
         label = f"{self.label}: its"
         if not (isinstance(self.follow, Mapping) and self.follow):
             remedy = 'give hinges and their motions, as {"elbow": lambda t: (t, 1, 0)}'
-            raise MechanicsError(f"{label} follow {shown(self.follow)}: {remedy}")
+            raise MechanicsError(f"{label} follow {brief(self.follow)}: {remedy}")
         for name in ("stiffness", "damping"):
             self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
         if not (self.limit == np.inf or number(self.limit, f"{label} limit") > 0.0):

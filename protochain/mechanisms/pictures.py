@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.core.palette import COLOURS
 from protochain.core.storage import write_text
@@ -69,11 +69,11 @@ def movie(
     from jinja2 import Template
 
     if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
-        raise MechanicsError(f"frames {shown(frames)}: give a whole number from 1")
+        raise MechanicsError(f"frames {brief(frames)}: give a whole number from 1")
     if not isinstance(title, str):
-        raise MechanicsError(f"title {shown(title)}: give a text")
+        raise MechanicsError(f"title {brief(title)}: give a text")
     if path is not None and not (isinstance(path, str | Path) and str(path)):
-        raise MechanicsError(f'path {shown(path)}: give the name of a file, as "motion.html"')
+        raise MechanicsError(f'path {brief(path)}: give the name of a file, as "motion.html"')
     n_frames = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
     picture = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], n_frames)), shapes)
     title = title or "Motion"
@@ -100,7 +100,7 @@ def strip(
         when = np.array([np.nan])
     slack = 1e-9 * (last - first)
     if when.ndim != 1 or not len(when) or not np.all((when >= first - slack) & (when <= last + slack)):
-        raise MechanicsError(f"times {shown(times)}: give those of the run, from {first:g} to {last:g}")
+        raise MechanicsError(f"times {brief(times)}: give those of the run, from {first:g} to {last:g}")
     if len(when) > _POSES:
         raise MechanicsError(f"{len(when)} poses do not fit side by side: give {_POSES} times at most")
     picture = drawing(run, _rows(run, when), shapes)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import InertiaWarning, MechanicsError
 from protochain.core.storage import regular
 from protochain.mechanics.multibody.tree import is_inertia
@@ -128,7 +128,7 @@ def _floats(reading: Reading, of: Element | None, key: str, default: tuple[float
     except ValueError:
         values = np.array([np.nan])
     if values.shape != (len(default),) or not np.all(np.isfinite(values)):
-        raise reading.refuse(f"{key} {shown(text)} of an {of.tag if of is not None else ''}: give numbers")
+        raise reading.refuse(f"{key} {brief(text)} of an {of.tag if of is not None else ''}: give numbers")
     return values
 
 
@@ -151,7 +151,7 @@ def is_text(source: Any) -> bool:
 def root_of(reading: Reading, source: str | Path, tag: str = "") -> Element:
     """Root of an XML file, or of a text, with this tag if one is given."""
     if not isinstance(source, str | Path):
-        raise MechanicsError(f"source {shown(source)}: give the name of a file, or its text")
+        raise MechanicsError(f"source {brief(source)}: give the name of a file, or its text")
     try:
         text = source if is_text(source) else regular(Path(source)).read_text(encoding="utf-8")
         root = ElementTree.fromstring(str(text))

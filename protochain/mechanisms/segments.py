@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.element_arguments import not_negative
@@ -147,7 +147,7 @@ def add_beam(
         If there is no cell, an axis is invalid or not stiff, or a name is already in use.
     """
     if not isinstance(cells, int) or cells < 1:
-        raise MechanicsError(f'beam "{name}": {shown(cells)} cells; give a whole number from 1')
+        raise MechanicsError(f'beam "{name}": {brief(cells)} cells; give a whole number from 1')
     if not bends or len(set(bends)) < len(bends) or not set(bends) <= set(AXES):
         raise MechanicsError(f'beam "{name}": bends {bends!r}; give axes of xyz, as "z" or "xyz"')
     soft = [axis for axis in bends if beam.stiffness(axis) == 0.0]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
@@ -39,7 +39,7 @@ class Ball:
 
     def __post_init__(self) -> None:
         if not isinstance(self.body, str):
-            raise MechanicsError(f"a ball's body {shown(self.body)}: give the name of a body")
+            raise MechanicsError(f"a ball's body {brief(self.body)}: give the name of a body")
         if number(self.radius, f'the radius of a ball of "{self.body}"') < 0.0:
             raise MechanicsError(f'the radius {self.radius:g} of a ball of "{self.body}" is negative')
         numbers(self.at, (3,), f'the centre of a ball of "{self.body}"')

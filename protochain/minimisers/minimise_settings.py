@@ -7,7 +7,7 @@ from typing import Any
 
 from protochain.core import defaults
 from protochain.core.checks import anything, at_least, flag, in_range, number, one_of, optional, path
-from protochain.core.errors import Angle, Argument, ProtochainError, refused
+from protochain.core.errors import Angle, Argument, ProtochainError, refusal
 from protochain.core.settings import Settings, setting
 
 JUDGES = (defaults.JUDGE, "reference")
@@ -19,7 +19,7 @@ TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a nu
 
 def _not_empty(text: str) -> str:
     if not text.strip():
-        raise refused("restraint", "''", "give strengths, a restraint or a file, or leave it out")
+        raise refusal("restraint", "''", "give strengths, a restraint or a file, or leave it out")
     return text
 
 

@@ -13,8 +13,8 @@ from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
 from protochain.core import defaults
 from protochain.core.arrays import Floats
-from protochain.core.checks import checked, number, one_of, refuse_class
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.checks import check_arguments, number, one_of, refuse_class
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
@@ -296,7 +296,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 METHODS = tuple(RECIPES)
 
 
-@checked(metric=one_of(METRIC_NAMES))
+@check_arguments(metric=one_of(METRIC_NAMES))
 def kcm(
     angle: float = ANGLE,
     entropy_bound: float | None = None,
@@ -356,14 +356,14 @@ def kcm(
 def _above_zero(value: Any, name: str) -> float:
     """Return a number, or raise a ProtochainError if it is not above 0."""
     if not number(value, name) > 0.0:
-        raise refused(name, f"{value:g}", "give a number above 0")
+        raise refusal(name, f"{value:g}", "give a number above 0")
     return float(value)
 
 
 def at_angle(recipe: Recipe, angle: float) -> Recipe:
     """Method of KCM with another initial or fixed angle, rad."""
     if not 0.0 < number(angle, "angle") <= np.pi:
-        raise refused("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
+        raise refusal("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
         names = ", ".join(name for name, candidate in RECIPES.items() if _has_angle(candidate))
         raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {names}")

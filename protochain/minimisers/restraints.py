@@ -11,7 +11,7 @@ from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_lines import are_restraints, is_missing, read_restraints
 from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Integers
-from protochain.core.errors import refused
+from protochain.core.errors import refusal
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.custom import call_user, check_forces, name_of
 from protochain.minimisers.problem import Force
@@ -176,9 +176,9 @@ class Hold:
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
             strengths = " ".join(f"{strength:g}" for strength in self.strengths)
-            raise refused("restraint", strengths, "give strengths in kJ/mol/nm^2, none below 0")
+            raise refusal("restraint", strengths, "give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
-            raise refused("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
+            raise refusal("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
@@ -193,7 +193,7 @@ class Hold:
         except (TypeError, ValueError):
             remedy = "give strengths in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
             missing = "no such file; " * (isinstance(restraint, str) and is_missing(restraint))
-            raise refused("restraint", f"{restraint!r}", missing + remedy) from None
+            raise refusal("restraint", f"{restraint!r}", missing + remedy) from None
         return cls(strengths, max_rmsd)
 
     @property

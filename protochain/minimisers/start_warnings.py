@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.minimisers.recipes import Recipe
 from protochain.structure.molecule.model import Structure
 from protochain.structure.superpose import rmsd_angstrom
@@ -24,7 +24,7 @@ def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
     """Describe errors in a start, and their treatment by a method."""
     crowd = len(overlaps(structure, structure.positions))
     threaded, violation_counts = threaded_rings(structure), violations(structure)
-    faults = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
+    faults = [f"{plural(crowd, 'pair')} of atoms overlap"] if crowd else []
     faults += [str(violation_counts)] if violation_counts else []
     lines = ["; ".join(faults)] if faults else []
     lines += [str(ring) for ring in threaded[:_SHOWN_RINGS]]

@@ -11,7 +11,7 @@ from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Chain, pose
 from protochain.core import defaults
 from protochain.core.arrays import read_only
-from protochain.core.checks import WATCHER, checked, function, integer, number, quantity
+from protochain.core.checks import WATCHER, check_arguments, function, integer, number, quantity
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy
@@ -122,7 +122,7 @@ class Starts:
         return f"<{s['n_starts']} starts: {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol>"
 
 
-@checked(
+@check_arguments(
     n_starts=integer, seed=integer, spread=quantity("radian"), each=function("k", "solution"),
     watch=WATCHER, max_rmsd=number,
 )  # fmt: skip

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
-from protochain.core.checks import checked
+from protochain.core.checks import check_arguments
 from protochain.core.checks import words as words_of
 from protochain.core.errors import Argument, ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -135,7 +135,7 @@ COLUMNS = (
 )
 
 
-@checked()
+@check_arguments()
 def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutation:
     """Mutate residues, and return the change of energy.
 

@@ -15,9 +15,9 @@ from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import Restraints, RestraintValue, describe_violations
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
-from protochain.core.checks import WATCHER, checked
+from protochain.core.checks import WATCHER, check_arguments
 from protochain.core.interrupts import held_interrupts
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.core.timings import measure_run, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import prepare_energy
@@ -45,7 +45,7 @@ _NAMED = 3
 """Residues and bonds that a message names."""
 
 
-@checked(watch=WATCHER)
+@check_arguments(watch=WATCHER)
 def relax(
     source: Any, preset: str = defaults.PRESET, *, watch: Watcher | None = None, **options: Any
 ) -> Relaxation:
@@ -230,10 +230,10 @@ def _verdict(
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {energy.judge}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
-    measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
+    measured += f"; fixed, not relaxed: {shorten(fixed)}" if fixed else ""
     problems = end.problems
     broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
-    breaks = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
+    breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += breaks if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
@@ -262,13 +262,13 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 def describe_problems(problems: Problems) -> list[str]:
     """Names of the remaining problems."""
     lines = describe_rejections(problems.structure, problems.x)
-    lines += [listed([*map(str, problems.rings)], 2)] if problems.rings else []
+    lines += [shorten([*map(str, problems.rings)], 2)] if problems.rings else []
     twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
-    lines += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []
+    lines += [f"twisted peptide bonds: {shorten(twisted, _NAMED)}"] if twisted else []
     # Breaks of the chain are not errors of the model, which may be cropped, with continuous numbers.
     residues = np.flatnonzero(problems.mendable()).tolist()
     if not residues:
         return lines
-    names = listed([problems.structure.describe_residue(residue) for residue in residues], _NAMED)
-    left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
+    names = shorten([problems.structure.describe_residue(residue) for residue in residues], _NAMED)
+    left = f"{plural(len(residues), 'residue is', 'residues are')} left with violations"
     return [*lines, f"{left}: {names}"]

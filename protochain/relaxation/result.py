@@ -13,7 +13,7 @@ from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue
 from protochain.core import defaults
 from protochain.core.arrays import Floats
-from protochain.core.markup import counted, facts
+from protochain.core.markup import facts, plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import RunEnds
@@ -221,7 +221,7 @@ class Relaxation(RunEnds):
         """Provenance of the structure, as remarks for its file."""
         settings = self.settings
         kind = "PROTOCOL" if settings.protocol else "PRESET"
-        lines = [f"{kind} {settings.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
+        lines = [f"{kind} {settings.strength.name.upper()}, {plural(len(self.rounds), 'ROUND')}"]
         if self.move != defaults.MOVE:
             fixed = f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED"
             lines.append(f"{fixed}: {self.move}")
@@ -264,7 +264,7 @@ class Relaxation(RunEnds):
                 ),
                 **({"side chains": "; ".join(summarise(self.turned))} if self.turned else {}),
                 **rows,
-                "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",
+                "work": f"{plural(len(self.rounds), 'round')}, {self.seconds:.2f} s",
             },
         )
 

@@ -14,7 +14,7 @@ from protochain.chains.chain import log_det_mass, pose
 from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import integer
-from protochain.core.errors import refused
+from protochain.core.errors import refusal
 from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
@@ -132,7 +132,7 @@ class Search(Value):
 
         number = integer(number, "number")
         if not 1 <= number <= len(self.q):
-            raise refused("number", number, f"give 1 to {len(self.q)}")
+            raise refusal("number", number, f"give 1 to {len(self.q)}")
         lowest, minimum = (
             self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
         )

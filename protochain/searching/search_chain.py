@@ -14,7 +14,7 @@ from typing import Any
 from protochain.batches.cluster import Processes, Submitted, open_workers, shared_file
 from protochain.chains.articulate import with_energy
 from protochain.core import defaults
-from protochain.core.checks import at_least, checked, function, optional, path, text
+from protochain.core.checks import at_least, check_arguments, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import document_settings, settings_from
@@ -71,7 +71,7 @@ class SearchProgress:
 
 
 @document_settings(SearchSettings, SearchRunSettings)
-@checked(
+@check_arguments(
     output=optional(path), workers=optional(at_least(1)), scheduler=optional(text), watch=function("progress")
 )
 def search(

@@ -7,8 +7,8 @@ from typing import Any
 from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_lines import read_restraints
 from protochain.core import defaults
-from protochain.core.checks import Check, at_least, flag, in_range, number, one_of, optional, plain, shown
-from protochain.core.errors import refused
+from protochain.core.checks import Check, at_least, brief, flag, in_range, number, one_of, optional, plain
+from protochain.core.errors import refusal
 from protochain.core.settings import Settings, setting
 
 METHODS = ("csa", "hopping", "tempering")
@@ -30,7 +30,7 @@ def interval(value: Any, name: str) -> tuple[float, float]:
     except (TypeError, ValueError):
         low = high = math.nan
     if not _LOWEST <= low < high <= _HIGHEST:
-        raise refused(name, shown(value), "give two temperatures in K, the lower first, as 300-600")
+        raise refusal(name, brief(value), "give two temperatures in K, the lower first, as 300-600")
     return low, high
 
 

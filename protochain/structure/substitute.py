@@ -8,8 +8,8 @@ import gemmi
 import numpy as np
 
 from protochain.core import defaults
-from protochain.core.errors import StructureError, refused
-from protochain.core.markup import listed
+from protochain.core.errors import StructureError, refusal
+from protochain.core.markup import shorten
 from protochain.structure.formats.files import number_atoms
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
@@ -99,7 +99,7 @@ def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any
             if structure.residue_name[r] in STANDARD:
                 names.setdefault(r, str(structure.residue_name[r]))
         if not names:
-            raise refused("rebuild_side_chains", repr(selection), "has no side chain of a standard residue")
+            raise refusal("rebuild_side_chains", repr(selection), "has no side chain of a standard residue")
     return substitute(structure, names, **settings) if names else structure
 
 
@@ -113,8 +113,8 @@ def _thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
     if not {name for name, _ in texts} <= {*chains}:
         if len(texts) != len(chains):
             raise StructureError(
-                f"{structure.name}: sequence: {len(texts)} given, of {listed([n or '-' for n, _ in texts])}; "
-                f"its chains are {', '.join(chains)}: give one for each, or name them so"
+                f"{structure.name}: sequence: {len(texts)} given, of {shorten([n or '-' for n, _ in texts])}"
+                f"; its chains are {', '.join(chains)}: give one for each, or name them so"
             )
         texts = [(chain, letters) for chain, (_, letters) in zip(chains, texts, strict=True)]
     names = {}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.chirality import atom_names, wrong_centres
@@ -147,7 +147,7 @@ class Findings(Value):
         for term, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
             first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
             for r, count in zip(first.tolist(), counts.tolist(), strict=True):
-                yield r, f"{counted(count, term)} strained"
+                yield r, f"{plural(count, term)} strained"
         sugars = self.nucleotides
         for k in np.flatnonzero(sugars.outlier).tolist():
             yield int(sugars.residue[k]), f"sugar {sugars.pucker[k]} with delta {sugars.delta[k]:.0f}"
@@ -304,4 +304,4 @@ def describe_remains(record: Mapping[str, Any], shown: int = 6) -> list[str]:
     """Describe faults in a record beyond its message: a line for each of ``REMAINS`` with places."""
     in_message = () if record.get("status") == "clash" else _JUDGED
     places = {key: record.get(key) for key in REMAINS if key not in in_message}
-    return [f"{REMAINS[key].what}: {listed(at, shown)} ({len(at)})" for key, at in places.items() if at]
+    return [f"{REMAINS[key].what}: {shorten(at, shown)} ({len(at)})" for key, at in places.items() if at]

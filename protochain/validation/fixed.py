@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from protochain.chains.contacts import radii
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, pairs_within
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
@@ -42,13 +42,13 @@ class FixedFaults(NamedTuple):
     def summary(self, structure: Structure, x: Floats) -> str:
         """Number of faults, and the first of them. Empty without any."""
         counts = [
-            counted(len(pairs), noun)
+            plural(len(pairs), noun)
             for pairs, noun in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
             if len(pairs)
         ]
         if not counts:
             return ""
-        return f"{' and '.join(counts)} outside the protein: {listed(self.lines(structure, x))}"
+        return f"{' and '.join(counts)} outside the protein: {shorten(self.lines(structure, x))}"
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, means_by
-from protochain.core.checks import checked, file_name, optional, text
+from protochain.core.checks import check_arguments, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
@@ -204,7 +204,7 @@ class Interface(Value):
         return facts(f"Interface {self.name} of {self.structure.name}", rows)
 
 
-@checked(
+@check_arguments(
     first=text, second=text, forcefield=file_name, solvent=text,
     energy=optional(an_energy),
 )  # fmt: skip

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from protochain.core.arrays import Value
-from protochain.core.markup import counted, facts
+from protochain.core.markup import facts, plural
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind
 from protochain.validation.findings import MEASURES
@@ -106,8 +106,8 @@ class Validation(Value):
         heavy = self.residues["atoms_added"]
         additions = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
-            atoms = counted(int(heavy.sum()), "heavy atom")
-            residues = counted(int((heavy > 0).sum()), "residue")
+            atoms = plural(int(heavy.sum()), "heavy atom")
+            residues = plural(int((heavy > 0).sum()), "residue")
             additions.insert(0, f"{atoms} added that the file lacks, in {residues}")
         return "; ".join(additions)
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
-from protochain.core.markup import counted
+from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
@@ -104,8 +104,8 @@ class Violations(Value):
             (len(self.within), "distance within a residue", "distances within residues"),
             (len(self.covalent), "covalent bond of a wrong length", "covalent bonds of a wrong length"),
         )
-        parts = ", ".join(counted(*count) for count in counts if count[0])
-        return f"violations in {counted(len(self.residues), 'residue')}: {parts}"
+        parts = ", ".join(plural(*count) for count in counts if count[0])
+        return f"violations in {plural(len(self.residues), 'residue')}: {parts}"
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
         """Describe each violation in a line, at x (na, 3), nm, by default the structure's own positions."""

@@ -18,9 +18,9 @@ from protochain.mechanics.multibody.algebra import (
     cross,
     dot,
     kernel,
+    rotate_back,
     scale,
     subtract,
-    turned_back,
 )
 
 MOST_POINTS = 8
@@ -135,9 +135,9 @@ def transposed(m: Matrix) -> Matrix:
 @kernel
 def product(a: Matrix, b: Matrix) -> Matrix:
     """A^T B."""
-    x = turned_back(a, (b[0], b[3], b[6]))
-    y = turned_back(a, (b[1], b[4], b[7]))
-    z = turned_back(a, (b[2], b[5], b[8]))
+    x = rotate_back(a, (b[0], b[3], b[6]))
+    y = rotate_back(a, (b[1], b[4], b[7]))
+    z = rotate_back(a, (b[2], b[5], b[8]))
     return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
 
 
@@ -163,11 +163,11 @@ def best_axis(
 ) -> tuple[float, int]:
     """Largest gap, and its axis; if it is wider than ``gap`` along some axis, that is the last tried."""
     d = subtract(c2, c1)
-    t, m = turned_back(r1, d), product(r1, r2)
+    t, m = rotate_back(r1, d), product(r1, r2)
     best, axis = best_face(t, m, h1, h2)
     if best > gap:
         return best, axis
-    second, which = best_face(turned_back(r2, d), transposed(m), h2, h1)
+    second, which = best_face(rotate_back(r2, d), transposed(m), h2, h1)
     if second > gap:
         return second, 3 + which
     if second > best + prefer_faces:
@@ -270,7 +270,7 @@ def on_face(
     hu, hv = at(h1, (axis + 1) % 3), at(h1, (axis + 2) % 3)
     face = add(c1, scale(at(h1, axis), n))
     # The face of the other that looks most against n.
-    a = turned_back(r2, n)
+    a = rotate_back(r2, n)
     k = 0
     if abs(a[1]) > abs(a[0]):
         k = 1

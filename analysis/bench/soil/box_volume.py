@@ -18,10 +18,10 @@ from protochain.mechanics.multibody.algebra import (
     cross,
     dot,
     kernel,
+    rotate,
+    rotate_back,
     scale,
     subtract,
-    turned,
-    turned_back,
 )
 
 FACETS = 6
@@ -50,7 +50,7 @@ def facets(
         for corner in range(4):
             su = 1.0 if corner == 1 or corner == 2 else -1.0
             sv = 1.0 if corner > 1 else -1.0
-            p = turned_back(r2, add(middle, add(scale(su, u), scale(sv, v))))
+            p = rotate_back(r2, add(middle, add(scale(su, u), scale(sv, v))))
             polygon[corner, 0], polygon[corner, 1], polygon[corner, 2] = p
         count = 4
         for side in range(6):
@@ -64,7 +64,7 @@ def facets(
         if count < 3:
             continue
         # Area and middle from triangles, along the normal in the second's axes.
-        m = turned_back(r2, n)
+        m = rotate_back(r2, n)
         area, place = 0.0, (0.0, 0.0, 0.0)
         p = (polygon[0, 0], polygon[0, 1], polygon[0, 2])
         for i in range(1, count - 1):
@@ -74,7 +74,7 @@ def facets(
             area += part
             place = add(place, scale(part / 3.0, add(p, add(a, b))))
         if area > 0.0:
-            place = add(c2, turned(r2, scale(1.0 / area, place)))
+            place = add(c2, rotate(r2, scale(1.0 / area, place)))
             out[number, 0], out[number, 1], out[number, 2] = place
             out[number, 3], out[number, 4] = area, 0.0
             out[number, 5], out[number, 6], out[number, 7] = n

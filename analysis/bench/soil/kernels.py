@@ -36,9 +36,9 @@ from protochain.mechanics.multibody.algebra import (
     dot,
     kernel,
     put,
+    rotate,
     scale,
     subtract,
-    turned,
     vector,
 )
 
@@ -128,13 +128,13 @@ def place_plates(s: int, plates: Boards, placed: Floats) -> None:
             rotation[s, b, 2, 0], rotation[s, b, 2, 1], rotation[s, b, 2, 2],
         )  # fmt: skip
         put(
-            add((origin[s, b, 0], origin[s, b, 1], origin[s, b, 2]), turned(r, vector(plate, m))),
+            add((origin[s, b, 0], origin[s, b, 1], origin[s, b, 2]), rotate(r, vector(plate, m))),
             placed,
             m,
             0,
         )
         for k in range(3):
-            axis = turned(r, (plate[m, 3 + k], plate[m, 6 + k], plate[m, 9 + k]))
+            axis = rotate(r, (plate[m, 3 + k], plate[m, 6 + k], plate[m, 9 + k]))
             placed[m, 3 + k], placed[m, 6 + k], placed[m, 9 + k] = axis
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.soil.contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
-from protochain.core.checks import number, shown
+from protochain.core.checks import brief, number
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.element_arguments import is_rotation
 
@@ -38,7 +38,7 @@ class Law:
 
     def __post_init__(self) -> None:
         if self.by not in ("points", "volume"):
-            raise MechanicsError(f"by {shown(self.by)}: give points or volume")
+            raise MechanicsError(f"by {brief(self.by)}: give points or volume")
         for name in ("stiffness", "friction", "damping", "tangential"):
             value = number(getattr(self, name), name)
             least = "positive" if name in ("stiffness", "tangential") else "not negative"

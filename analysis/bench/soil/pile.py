@@ -16,7 +16,7 @@ from bench.soil.contact import N_MEMORY
 from bench.soil.kernels import DONE, LISTS, TOO_DEEP, Boards, Cubes, Lists, Planes, carry_over, march
 from bench.soil.parts import Heap, Law, Motion, Plates, Sleep, check_boxes
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
-from protochain.core.checks import at_least, number, shown
+from protochain.core.checks import at_least, brief, number
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
 from protochain.mechanisms.search import in_order, touching
@@ -65,7 +65,7 @@ class Pile(Value):
     def __post_init__(self) -> None:
         n, p = np.size(self.edge), np.size(self.offset)
         if not isinstance(self.law, Law):
-            raise MechanicsError(f"law {shown(self.law)}: give one of pile_parts, as Law(1e5, 0.5)")
+            raise MechanicsError(f"law {brief(self.law)}: give one of pile_parts, as Law(1e5, 0.5)")
         for name, shape in (
             ("edge", (n,)), ("mass", (n,)), ("gravity", (3,)), ("normal", (p, 3)), ("offset", (p,)),
         ):  # fmt: skip
@@ -144,7 +144,7 @@ class Pile(Value):
             of each step.
         """
         if not isinstance(heap, Heap):
-            raise MechanicsError(f"heap {shown(heap)}: give one, as start() makes it")
+            raise MechanicsError(f"heap {brief(heap)}: give one, as start() makes it")
         steps, time_step = at_least(0)(steps, "steps"), number(time_step, "time_step")
         if not 0.0 < time_step <= self.longest_step * (1.0 + 1e-9):
             raise StepTooLargeError(

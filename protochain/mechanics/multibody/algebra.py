@@ -143,7 +143,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @kernel
-def turned(r: Matrix, a: Vector) -> Vector:
+def rotate(r: Matrix, a: Vector) -> Vector:
     """Product R a."""
     return (
         r[0] * a[0] + r[1] * a[1] + r[2] * a[2],
@@ -153,7 +153,7 @@ def turned(r: Matrix, a: Vector) -> Vector:
 
 
 @kernel
-def turned_back(r: Matrix, a: Vector) -> Vector:
+def rotate_back(r: Matrix, a: Vector) -> Vector:
     """Product R^T a."""
     return (
         r[0] * a[0] + r[3] * a[1] + r[6] * a[2],
@@ -172,7 +172,7 @@ def symmetric_times(s: Symmetric, a: Vector) -> Vector:
 
 
 @kernel
-def turned_inertia(r: Matrix, s: Symmetric) -> Symmetric:
+def rotate_inertia(r: Matrix, s: Symmetric) -> Symmetric:
     """Product R S R^T."""
     x = symmetric_times(s, (r[0], r[1], r[2]))
     y = symmetric_times(s, (r[3], r[4], r[5]))
@@ -229,7 +229,7 @@ def rigid_inertia(turn: Matrix, bodies: Floats, b: int) -> tuple[float, Vector, 
     """Mass, first moment and moments of inertia of body b about its origin, along world axes."""
     first = vector(bodies, b, FIRST_MOMENT)
     x, y = vector(bodies, b, SECOND_MOMENTS), vector(bodies, b, SECOND_MOMENTS + 3)
-    return bodies[b, MASS], turned(turn, first), turned_inertia(turn, (x[0], x[1], x[2], y[0], y[1], y[2]))
+    return bodies[b, MASS], rotate(turn, first), rotate_inertia(turn, (x[0], x[1], x[2], y[0], y[1], y[2]))
 
 
 @kernel
@@ -248,7 +248,7 @@ def add_rigid(p: Inertia, rigid: tuple[float, Vector, Symmetric]) -> Inertia:
 def inertia_times(p: Inertia, omega: Vector, u: Vector) -> tuple[Vector, Vector]:
     """Wrench of a twist."""
     i, c, m = p
-    return (add(symmetric_times(i, omega), turned(c, u)), add(turned_back(c, omega), symmetric_times(m, u)))
+    return (add(symmetric_times(i, omega), rotate(c, u)), add(rotate_back(c, omega), symmetric_times(m, u)))
 
 
 @kernel

@@ -178,7 +178,7 @@ def factorise(
             i, c, m = articulated
             if slide == 0.0:
                 # Most hinges only turn: half the work.
-                g, h = algebra.symmetric_times(i, axis), algebra.turned_back(c, axis)
+                g, h = algebra.symmetric_times(i, axis), algebra.rotate_back(c, axis)
                 d, total_inertia = dot(axis, g), i[0] + i[3] + i[5]
             else:
                 g, h = algebra.inertia_times(articulated, scale(turn, axis), scale(slide, axis))

@@ -185,9 +185,9 @@ def turned_by_ball(seat: algebra.Matrix, q: Floats, k: int) -> algebra.Matrix:
     """Axes y, z, x, as columns, after a rotation by a rotation vector, from the axes at q = 0."""
     x, y, z = q[k], q[k + 1], q[k + 2]
     w, x, y, z = quaternion_of(x, y, z)
-    a = algebra.turned(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
-    b = algebra.turned(seat, (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
-    c = algebra.turned(seat, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
+    a = algebra.rotate(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
+    b = algebra.rotate(seat, (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
+    c = algebra.rotate(seat, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
     return b[0], c[0], a[0], b[1], c[1], a[1], b[2], c[2], a[2]
 
 
@@ -200,10 +200,10 @@ def half_sine(half: float) -> float:
 @kernel
 def seat(bodies: Floats, b: int, above: algebra.Matrix, at: Vector) -> tuple[algebra.Matrix, Vector]:
     """Frame of body b at q = 0, from the frame of its parent."""
-    x = algebra.turned(above, algebra.vector(bodies, b, AXES))
-    y = algebra.turned(above, algebra.vector(bodies, b, AXES + 3))
-    z = algebra.turned(above, algebra.vector(bodies, b, AXES + 6))
-    at = add(at, algebra.turned(above, algebra.vector(bodies, b, OFFSET)))
+    x = algebra.rotate(above, algebra.vector(bodies, b, AXES))
+    y = algebra.rotate(above, algebra.vector(bodies, b, AXES + 3))
+    z = algebra.rotate(above, algebra.vector(bodies, b, AXES + 6))
+    at = add(at, algebra.rotate(above, algebra.vector(bodies, b, OFFSET)))
     return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
 
 
@@ -237,7 +237,7 @@ def end_of(rotation: Floats, origin: Floats, b: int, point: Vector) -> tuple[Vec
     """Lever arm of a point from the origin of its body, and its place. Both are the point in the world."""
     if b < 0:
         return point, point
-    arm = algebra.turned(algebra.matrix(rotation, b), point)
+    arm = algebra.rotate(algebra.matrix(rotation, b), point)
     return arm, add(algebra.vector(origin, b), arm)
 
 

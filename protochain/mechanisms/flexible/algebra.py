@@ -95,7 +95,7 @@ def base_twist(
 def inertia_times(rotation: Floats, inertia: Floats, i: int, x: Vector) -> Vector:
     """Product of a section's inertia, given along its own axes, with a vector along the world's."""
     turn = algebra.matrix(rotation, i)
-    return algebra.turned(turn, algebra.turned(algebra.matrix(inertia, i), algebra.turned_back(turn, x)))
+    return algebra.rotate(turn, algebra.rotate(algebra.matrix(inertia, i), algebra.rotate_back(turn, x)))
 
 
 @kernel

@@ -45,12 +45,12 @@ def put_frames(
             for s in range(n_shapes):
                 short = nodes.shortening_of(shortening, i, s, n_shapes, q, first)
                 nodes.put_six(
-                    algebra.turned(turn, tangent(theta, triple(turns, i, s))),
-                    algebra.turned(turn, subtract(triple(moves, i, s), short)), columns, i, s,
+                    algebra.rotate(turn, tangent(theta, triple(turns, i, s))),
+                    algebra.rotate(turn, subtract(triple(moves, i, s), short)), columns, i, s,
                 )  # fmt: skip
-            algebra.put(add(at, algebra.turned(turn, x)), origin, i, 0)
-            u = algebra.turned(turn, turn_by(theta, (1.0, 0.0, 0.0)))
-            v = algebra.turned(turn, turn_by(theta, (0.0, 1.0, 0.0)))
+            algebra.put(add(at, algebra.rotate(turn, x)), origin, i, 0)
+            u = algebra.rotate(turn, turn_by(theta, (1.0, 0.0, 0.0)))
+            v = algebra.rotate(turn, turn_by(theta, (0.0, 1.0, 0.0)))
             w = cross(u, v)
             algebra.put_matrix((u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2]), rotation, i)
 
@@ -94,8 +94,8 @@ def put_changes(
                 bent = nodes.tangent_rate(theta, rate, triple(turns, i, s))
                 short = nodes.shortening_of(shortening, i, s, n_shapes, qd, j)
                 nodes.put_six(
-                    add(cross(omega, angular), algebra.turned(turn, bent)),
-                    subtract(cross(omega, linear), algebra.turned(turn, short)), changes, i, s,
+                    add(cross(omega, angular), algebra.rotate(turn, bent)),
+                    subtract(cross(omega, linear), algebra.rotate(turn, short)), changes, i, s,
                 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, floats
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanisms.impacts.bodies import Bodies
 
@@ -32,11 +32,11 @@ def external_wrench(bodies: Bodies, external: External) -> Floats:
 def check_external(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
     """Body -> world point and impulse, of n bodies. Raise MechanicsError for invalid ones."""
     if not isinstance(external, Mapping):
-        raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")
+        raise MechanicsError(f"external {brief(external)}: give {{body: (point, impulse)}}")
     impulses = {}
     for body, blow in external.items():
         if isinstance(body, bool) or not isinstance(body, int | np.integer) or not 0 <= body < n:
-            raise MechanicsError(f"external: there is no body {shown(body)}; give a number from 0 to {n - 1}")
+            raise MechanicsError(f"external: there is no body {brief(body)}; give a number from 0 to {n - 1}")
         label = f"external, body {body}"
         if not (isinstance(blow, tuple | list | np.ndarray) and len(blow) == 2):
             raise MechanicsError(f"{label}: give a pair, (point, impulse)")

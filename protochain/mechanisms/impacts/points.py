@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
-from protochain.core.checks import number, shown
+from protochain.core.checks import brief, number
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.loops import factor_closed
@@ -71,7 +71,7 @@ class ContactPoint(Value):
             raise MechanicsError(f"contact {self.name!r}: its restitution {self.restitution:g} is not 0 to 1")
         if not (len(self.bodies) == 2 and all(isinstance(b, int | np.integer) for b in self.bodies)):
             raise MechanicsError(
-                f"contact {self.name!r}: bodies {shown(self.bodies)}: give two numbers, of which -1 is the "
+                f"contact {self.name!r}: bodies {brief(self.bodies)}: give two numbers, of which -1 is the "
                 "world"
             )
         if self.bodies[0] == self.bodies[1]:

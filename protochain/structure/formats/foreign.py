@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 from openmm import app, unit
 
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import StructureError
 from protochain.core.optional_libraries import library
 from protochain.core.storage import regular
@@ -123,7 +123,7 @@ def as_gemmi(source: Any) -> gemmi.Structure:
     if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
         return _from_mdanalysis(source.atoms)
     raise StructureError(
-        f"{shown(source)}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        f"{brief(source)}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
         "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
     )
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checkpoints import check_sizes, head_of
-from protochain.core.checks import plain, shown
-from protochain.core.errors import Argument, ProtochainError, StructureError, refused
+from protochain.core.checks import brief, plain
+from protochain.core.errors import Argument, ProtochainError, StructureError, refusal
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.formats.files import SUFFIXES, format_of, in_file_order, parse
@@ -106,7 +106,7 @@ def frame_slice(spec: Any, name: str) -> slice:
     match = _SELECTION.fullmatch("".join(str(spec).split()))
     if not match or match["step"] == "0":
         raise ProtochainError(
-            Argument(name), f" {shown(spec)}: give all, a number, or START:STOP:STEP, as 0:1000:10"
+            Argument(name), f" {brief(spec)}: give all, a number, or START:STOP:STEP, as 0:1000:10"
         )
     start, stop, step = (int(text) if (text := match[part]) else None for part in ("start", "stop", "step"))
     if match["several"] is None:
@@ -151,7 +151,7 @@ def _open_source(source: Any) -> Frames:
     try:
         x = np.asarray(plain(source, "nanometer", "frames"), dtype=float)
     except (TypeError, ValueError):
-        raise refused("frames", shown(source), "give positions (frames, atoms, 3) in nm, or a file") from None
+        raise refusal("frames", brief(source), "give positions (frames, atoms, 3) in nm, or a file") from None
     if x.ndim != 3 or x.shape[2] != 3:
         raise StructureError(
             f"frames: has shape {x.shape}; give positions (frames, atoms, 3) in nm, or a file"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from protochain.core import defaults
 from protochain.core.arrays import Value
 from protochain.core.errors import Angle, Argument, ProtochainError
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.structure.molecule.residues import Atom
 
 _SHOWN = 8
@@ -391,12 +391,12 @@ class _Form(Formatter):
         if isinstance(value, Argument):
             return self.render(value)
         if isinstance(value, ProtochainError):
-            return value.told(self.render)
+            return value.render(self.render)
         if isinstance(value, tuple):
             texts = [str(item) for item in value]
-            return " and ".join(texts) if spec == "and" else listed(texts, int(spec or len(texts)))
+            return " and ".join(texts) if spec == "and" else shorten(texts, int(spec or len(texts)))
         if spec.startswith("n "):
-            return counted(value, spec[2:])
+            return plural(value, spec[2:])
         return str(super().format_field(value, spec))
 
 
@@ -437,13 +437,13 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
     included = [
         str(count) for kind in (Kind.KEPT, Kind.KEPT_BY_ELEMENT) for f in log[kind] for count in f["counts"]
     ]
-    added = [counted(facts["count"], "hydrogen") for facts in log[Kind.HYDROGENS_ADDED]]
-    added += [f"missing atoms of {counted(completed, 'residue')}"] if completed else []
-    removed = [counted(facts["count"], "water") for facts in log[Kind.WATERS_LEFT_OUT]]
+    added = [plural(facts["count"], "hydrogen") for facts in log[Kind.HYDROGENS_ADDED]]
+    added += [f"missing atoms of {plural(completed, 'residue')}"] if completed else []
+    removed = [plural(facts["count"], "water") for facts in log[Kind.WATERS_LEFT_OUT]]
     removed += [f"{count.n} {count.kind}" for count in molecules]
-    removed += [f"altlocs of {counted(len(log[Kind.ALTERNATES]), 'residue')}"] if log[Kind.ALTERNATES] else []
+    removed += [f"altlocs of {plural(len(log[Kind.ALTERNATES]), 'residue')}"] if log[Kind.ALTERNATES] else []
     parts = (added, "added"), (included, "kept"), (removed, "removed")
-    return "; ".join(f"{listed(names, _SHOWN)} {verb}" for names, verb in parts if names)
+    return "; ".join(f"{shorten(names, _SHOWN)} {verb}" for names, verb in parts if names)
 
 
 def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
@@ -462,7 +462,7 @@ def _in_words(rank: Rank, change: str, alike: list[Repair], render: Render) -> s
         his: dict[str, list[str]] = defaultdict(list)
         for item in alike:
             his[item.facts["state"]].append(item.facts["residue"].place)
-        return "HIS states: " + "; ".join(f"{state} {listed(his[state], _SHOWN)}" for state in sorted(his))
+        return "HIS states: " + "; ".join(f"{state} {shorten(his[state], _SHOWN)}" for state in sorted(his))
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
         return alike[0].sentence(render)
     if rank is Rank.GAP:
@@ -471,11 +471,11 @@ def _in_words(rank: Rank, change: str, alike: list[Repair], render: Render) -> s
             for gap in (repair.facts for repair in alike)
         ]
         return (
-            f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
+            f"split at {len(gaps)} gaps in the chains, with charged termini: {shorten(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"
         )
     places = [str(repair.facts["residue"]) for repair in alike]
-    return f"{change} in {len(places)} residues: {listed(places, _SHOWN)}"
+    return f"{change} in {len(places)} residues: {shorten(places, _SHOWN)}"
 
 
 _HISTIDINES = ("HID", "HIE", "HIP")

@@ -14,7 +14,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
-from protochain.core.markup import counted, listed
+from protochain.core.markup import plural, shorten
 from protochain.structure.formats.ions import charge_cluster, has_known_charge
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
@@ -127,10 +127,10 @@ def _no_chain_message(candidates: Iterable[HeteroResidue]) -> tuple[object, ...]
     """Return a message that lists the molecules of a file without a chain, and the remedy."""
     kinds = Counter("waters" if residue.kind == "water" else residue.raw_name for residue in candidates)
     counts = [
-        counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
+        plural(n, "water") if kind == "waters" else f"{plural(n, 'residue')} {kind}"
         for kind, n in kinds.items()
     ]
-    listing = listed(counts, 8)
+    listing = shorten(counts, 8)
     text = f"no protein found{listing and f', only {listing}'}; "
     if any(residue.kind == "nucleic" for residue in candidates):
         return text, "keep them by ", KEEP_ALL
@@ -164,8 +164,8 @@ def _refuse_unknown_names(
     unknown = next((word for word in requested if word not in KINDS and word not in names), None)
     if unknown is not None:
         count = Counter("" if residue.kind == "water" else residue.raw_name for residue in candidates)
-        present = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_SHOWN)]
-        remainder = f" and {counted(len(count) - _SHOWN, 'more kind')}" if len(count) > _SHOWN else ""
+        present = [f"{n} {name}" if name else plural(n, "water") for name, n in count.most_common(_SHOWN)]
+        remainder = f" and {plural(len(count) - _SHOWN, 'more kind')}" if len(count) > _SHOWN else ""
         raise StructureError(
             f"{draft.source}: {kind}{unknown}: no molecule kept with the protein has this name; those there: "
             f"{', '.join(present) or 'none'}{remainder}"

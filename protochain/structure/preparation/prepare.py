@@ -15,7 +15,7 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import acidity_or_auto, checked, file_name, force_field_parts, words
+from protochain.core.checks import acidity_or_auto, check_arguments, file_name, force_field_parts, words
 from protochain.core.checks import bonds as bonds_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
@@ -80,7 +80,7 @@ PASSES = READING + COMPLETING
 """The table of contents of a preparation."""
 
 
-@checked()
+@check_arguments()
 def load(
     path: str | Path,
     *,

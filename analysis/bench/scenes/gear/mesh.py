@@ -10,7 +10,7 @@ import numpy as np
 from bench.scenes.gear.geometry import STEEL, GearPair, overlap
 from bench.scenes.gear.teeth import Springs
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.checks import check_fields, number, shown
+from protochain.core.checks import brief, check_fields, number
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
@@ -56,7 +56,7 @@ class Gear:
     def __post_init__(self) -> None:
         check_fields(self, torque=number)
         if not self.backlash >= 0.0:
-            raise MechanicsError(f"backlash {shown(self.backlash)}: give a length, 0 or more")
+            raise MechanicsError(f"backlash {brief(self.backlash)}: give a length, 0 or more")
 
     @property
     def ratio(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 
 from protochain.core.arrays import Floats, read_only
-from protochain.core.checks import shown
+from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Equations, Phase
@@ -105,7 +105,7 @@ def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> Reduc
             left.remove(freedom)
         if not isinstance(count, int) or not 0 <= count <= len(hinges):
             raise MechanicsError(
-                f'{shown(count)} modes of {len(hinges)} hinges, the first "{hinges[0]}": give a whole number '
+                f'{brief(count)} modes of {len(hinges)} hinges, the first "{hinges[0]}": give a whole number '
                 f"from 0 to {len(hinges)}"
             )
         if count:
