@@ -16,7 +16,7 @@ from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers.solution import alpha_residues
 from protochain.structure import Structure
-from protochain.structure.molecule.dihedrals import finder
+from protochain.structure.molecule.dihedrals import dihedral_finder
 from protochain.structure.select import select as chosen
 from protochain.structure.superpose import superpose
 
@@ -168,7 +168,7 @@ def fluctuations(x: list[Floats]) -> Floats:
 
 def _backbone(structure: Structure) -> Integers:
     """(m, 4) int: atoms of phi and psi."""
-    _, backbone_atoms = finder(structure, ("phi", "psi"))
+    _, backbone_atoms = dihedral_finder(structure, ("phi", "psi"))
     rows = [
         atoms for r in range(structure.n_residues) for *_, atoms in backbone_atoms(r) if None not in atoms
     ]

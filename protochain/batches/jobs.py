@@ -35,7 +35,7 @@ from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import NAMES as OF_RELAXING
 from protochain.relaxation.relax_settings import WITHOUT, RelaxSettings
 from protochain.structure.formats.files import format_of
-from protochain.structure.ligand_files import are_several, poses
+from protochain.structure.ligand_files import has_poses, poses
 from protochain.structure.preparation.prepare import user_files
 from protochain.structure.preparation.read import model_numbers
 
@@ -427,7 +427,7 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_JobInput]:
 def _poses(job_input: _JobInput) -> list[_JobInput]:
     """Copies of an input, one for each pose of a folder or file of ligands."""
     ligands = job_input.settings.setup.ligands
-    group = next((source for name, source in ligands if not name and are_several(source)), None)
+    group = next((source for name, source in ligands if not name and has_poses(source)), None)
     if group is None:
         return [job_input]
     sources = poses(Path(group))

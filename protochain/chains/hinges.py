@@ -10,7 +10,7 @@ from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import Neighbours, beyond, components, group_members, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure.molecule import residues
-from protochain.structure.molecule.dihedrals import finder
+from protochain.structure.molecule.dihedrals import dihedral_finder
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.sugars import last_of_ring
 
@@ -83,7 +83,7 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
     """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
     modified = _find_modified(structure)
     requested = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
-    index, bonds_of = finder(structure, requested)
+    index, bonds_of = dihedral_finder(structure, requested)
     for r in range(structure.n_residues):
         named_bonds = bonds_of(r)
         if r in modified and {*residues.BACKBONE} <= index[r].keys():

@@ -18,7 +18,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.molecule.dihedrals import finder
+from protochain.structure.molecule.dihedrals import dihedral_finder
 from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.select import atoms_at
 
@@ -380,7 +380,7 @@ def _groups(structure: Structure, restraint: Restraint) -> list[Integers]:
     if restraint.kind == "dihedral" and len(restraint.places) == 1:
         kind, _, place = restraint.places[0].replace("@", " ").partition(" ")
         r = int(structure.atom_residue[atoms_at(structure, place)[0]])
-        _, dihedrals_of = finder(structure, ("phi", "psi", "omega", "chi", "nucleic"))
+        _, dihedrals_of = dihedral_finder(structure, ("phi", "psi", "omega", "chi", "nucleic"))
         dihedrals = {label: atoms for _, label, atoms in dihedrals_of(r) if None not in atoms}
         if kind not in dihedrals:
             raise StructureError(f"{subject}: {place} has {', '.join(dihedrals) or 'no dihedrals'}")

@@ -61,7 +61,7 @@ def modes(
     from protochain.comparison.normal_modes import DENSE, check_modes, normal_modes
     from protochain.comparison.pair_hessian import applies
     from protochain.structure.formats.trajectory import check_trajectory
-    from protochain.structure.matching import measurable
+    from protochain.structure.matching import structure_to_measure
 
     check_modes(modes, method)
     temperature, amplitude = checked_temperature(temperature), checked_amplitude(amplitude)
@@ -70,7 +70,7 @@ def modes(
     check_trajectory(output / f"mode-1.{trajectory}")
     options.check_outputs([source, to], files_of(output, modes, suffix, trajectory), setup)
     context.with_resource(claim_folder(output, "analysis of modes"))
-    target = measurable(to) if to else None
+    target = structure_to_measure(to) if to else None
     chain, energy, preparation = options.prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for about 700 products. An analytic one costs a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)

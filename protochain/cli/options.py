@@ -312,9 +312,9 @@ def has_poses(setup: Setup) -> bool:
     """Whether there are several poses of a ligand, which are added separately."""
     if not setup.poses:
         return False
-    from protochain.structure.ligand_files import are_several
+    from protochain.structure.ligand_files import has_poses
 
-    return any(map(are_several, setup.poses))
+    return any(map(has_poses, setup.poses))
 
 
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:

@@ -47,9 +47,9 @@ def rmsd(
 
     def task() -> "Task":
         from protochain.comparison.deviation import RmsdFrames
-        from protochain.structure.matching import measurable
+        from protochain.structure.matching import structure_to_measure
 
-        return RmsdFrames(measurable(reference), align, measure)
+        return RmsdFrames(structure_to_measure(reference), align, measure)
 
     of_frames.run_if_requested(
         context, models, trajectory, frames, Setup(), task, output,

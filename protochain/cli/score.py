@@ -75,7 +75,7 @@ def score(
     """
     from protochain.batches.cluster import Processes
     from protochain.chains.contacts import overlapping
-    from protochain.structure.matching import measurable
+    from protochain.structure.matching import structure_to_measure
     from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
     columns = {**SCORES, **MAKEUP, **CONFIDENCES}
@@ -86,7 +86,7 @@ def score(
 
         if len(interface or ()) > 1:
             raise ProtochainError("frames: give one ", Argument("interface"))
-        origin = measurable(reference) if reference else None
+        origin = structure_to_measure(reference) if reference else None
         return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
 
     of_frames.run_if_requested(
@@ -106,7 +106,7 @@ def score(
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
 
-        origin = measurable(reference) if reference else None
+        origin = structure_to_measure(reference) if reference else None
         jobs = [ScoreJob(*entry, (*(interface or ()),), relax, origin) for entry in files]
         results = score_files(jobs, processes)
     pairs: list[tuple[dict[str, Any], Interface | None]] = [

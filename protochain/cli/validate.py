@@ -64,12 +64,12 @@ def validate(
     Heavy atoms of the file are measured. Missing heavy atoms and hydrogens are added first.
     For frames of one file, write a row for each frame to --csv.
     """
-    from protochain.structure.matching import measurable
+    from protochain.structure.matching import structure_to_measure
 
     def task() -> "Task":
         from protochain.batches.frame_tasks import ValidateFrames
 
-        return ValidateFrames(setup, measurable(reference) if reference else None)
+        return ValidateFrames(setup, structure_to_measure(reference) if reference else None)
 
     of_frames.run_if_requested(
         context, inputs, trajectory, frames, setup, task, csv, excluded="residues changes posebusters",
@@ -80,7 +80,7 @@ def validate(
     check_outputs([reference, *(path for _, path, _ in files)], [csv, residues, changes], setup)
     if changes and not reference:
         raise ProtochainError("--changes requires --reference")
-    compared = measurable(reference) if reference else None
+    compared = structure_to_measure(reference) if reference else None
     rows: Rows = []
     notes: dict[str, list[str]] = {}
     of_residues: list[DataFrame] = []

@@ -13,7 +13,7 @@ from protochain.core.checks import check_arguments, selection
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
-from protochain.structure.matching import Match, match, measurable, models_of, tm_score
+from protochain.structure.matching import Match, match, models_of, structure_to_measure, tm_score
 from protochain.structure.select import select, sides
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
 
@@ -86,7 +86,7 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     >>> round(float(found.tm_score), 3)
     1.0
     """
-    reference, model = measurable(reference), measurable(model)
+    reference, model = structure_to_measure(reference), structure_to_measure(model)
     matches = match(reference, model)
     aligned = _atoms(reference, model, matches, align)
     measured = aligned if measure == align else _atoms(reference, model, matches, measure)
@@ -135,7 +135,7 @@ def rmsd_table(
     """Measure many files against a reference: one row per model of each file, failures included."""
     import pandas as pd
 
-    first = measurable(reference)
+    first = structure_to_measure(reference)
     select(first, align), select(first, measure)
     rows = []
     for path in models:

@@ -17,7 +17,7 @@ from protochain.energies import Energy
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.structure import Structure
-from protochain.structure.matching import match, measurable
+from protochain.structure.matching import match, structure_to_measure
 from protochain.structure.superpose import motion
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ class NormalModes(Value):
     def _modes_and_change(self, structure: Any) -> tuple[Floats, Floats]:
         """Displacements (k, 3n) of matched C-alphas without rigid motion, and the unit change (3n,)."""
         start = self.structure
-        target = measurable(structure)
+        target = structure_to_measure(structure)
         matches = match(start, target)
         alpha = {int(start.atom_residue[atom]): place for place, atom in enumerate(start.alpha_carbons)}
         alpha_of_residue = {int(target.atom_residue[atom]): int(atom) for atom in target.alpha_carbons}

@@ -20,7 +20,7 @@ _ROUNDS = 20
 """Superpositions after one start. Each lowers the sum of squares, and mostly two are enough."""
 _STARTS = 400
 """Initial pairs of chains: all pairs of 20 equal chains. With more, the first chains of the reference."""
-_SAME = 1e-9
+_EQUAL = 1e-9
 """Fraction of the sum of squares about the origin. Mappings with smaller differences are equal."""
 
 
@@ -68,11 +68,11 @@ class PairSums(Value):
         )
 
 
-def least_deviation(sums: PairSums, first: Integers) -> Integers:
+def least_rmsd_mapping(sums: PairSums, first: Integers) -> Integers:
     """Find the chain of the model for each of the reference (k,), as many as ``first``, of least RMSD."""
     allowed = sums.weight > 0.0
     best, least = first, _mean_square(sums, first)
-    same = _SAME * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))
+    same = _EQUAL * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))
     for start in _starts(allowed):
         mapping = _refine(sums, allowed, start)
         off = _mean_square(sums, mapping)

@@ -23,7 +23,7 @@ from protochain.structure.preparation.periodic import touching_image
 from protochain.structure.preparation.protonate import BONDED
 from protochain.structure.write import as_gemmi
 
-_TORN = 1.0
+_LONGEST_BOND = 1.0
 """nm. Longer bonds have atoms in two images of a box, or other atoms, even in bad models."""
 _BROKEN = "it is of other atoms, or broken across a box that the file does not state"
 _NEAREST = 0.02
@@ -32,7 +32,7 @@ _FARTHEST = 1e4
 """nm. Largest coordinate, as in files."""
 _CONTACT = 0.6
 """nm. Largest distance between atoms of molecules in contact."""
-_OF_FRAMES = ("N", "CA", "C", "O")
+_IN_FRAMES = ("N", "CA", "C", "O")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +92,10 @@ class Ensemble(Value):
             x = self._gather(self._make_whole(x, frame.box), frame.box)
         ends = x[self._bonds]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-        if len(lengths) and not _NEAREST < lengths.min() <= lengths.max() < _TORN:
-            worst = int(np.argmax(lengths if lengths.max() >= _TORN else -lengths))
+        if len(lengths) and not _NEAREST < lengths.min() <= lengths.max() < _LONGEST_BOND:
+            worst = int(np.argmax(lengths if lengths.max() >= _LONGEST_BOND else -lengths))
             first, second = (s.describe(atom) for atom in self._bonds[worst].tolist())
-            cause = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
+            cause = _BROKEN if lengths.max() >= _LONGEST_BOND else "correct its coordinates"
             separation = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
             raise StructureError(f"{first} and {second} are bonded, but {separation}: {cause}")
         # As in a file, a hydrogen too far from its parent is placed again.
@@ -191,10 +191,10 @@ def _keys(s: Structure) -> list[tuple[str, ...]]:
 
 def _places(s: Structure, frames: Frames) -> Integers:
     if frames.sequence:
-        return _of_backbones(s, frames)
+        return _places_in_backbones(s, frames)
     origin = s.origin
     if frames.names and origin:
-        return _by_name(s, frames)
+        return _places_by_name(s, frames)
     n_filed = len(origin.atoms) if origin else s.n_atoms
     orders = []
     if origin and frames.n_atoms == n_filed:
@@ -220,7 +220,7 @@ def _length(s: Structure, place: Integers, x: Floats) -> float:
     return float(np.nansum(np.linalg.norm(x[place[bonds[:, 0]]] - x[place[bonds[:, 1]]], axis=1)))
 
 
-def _by_name(s: Structure, frames: Frames) -> Integers:
+def _places_by_name(s: Structure, frames: Frames) -> Integers:
     assert s.origin
     at = {name: k for k, name in enumerate(frames.names)}
     names = [s.origin.atoms[place] if place >= 0 else "" for place in s.origin.place.tolist()]
@@ -234,7 +234,7 @@ def _by_name(s: Structure, frames: Frames) -> Integers:
     return np.array([at.get(name, -1) for name in names])
 
 
-def _of_backbones(s: Structure, frames: Frames) -> Integers:
+def _places_in_backbones(s: Structure, frames: Frames) -> Integers:
     amino = [r for r in range(s.n_residues) if {*BACKBONE} <= {*s.atom_name[s.atom_residue == r].tolist()}]
     sequence = gemmi.one_letter_code([str(s.residue_name[r]) for r in amino]).upper()
     fits = len(sequence) == len(frames.sequence) and all(
@@ -247,4 +247,4 @@ def _of_backbones(s: Structure, frames: Frames) -> Integers:
         )
     row = {r: k for k, r in enumerate(amino)}
     atoms = zip(s.atom_name.tolist(), s.atom_residue.tolist(), strict=True)
-    return np.array([4 * row[r] + _OF_FRAMES.index(name) if name in _OF_FRAMES else -1 for name, r in atoms])
+    return np.array([4 * row[r] + _IN_FRAMES.index(name) if name in _IN_FRAMES else -1 for name, r in atoms])

@@ -206,7 +206,7 @@ def poses(path: Path) -> list[str]:
     return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
 
 
-def are_several(source: str) -> bool:
+def has_poses(source: str) -> bool:
     """Whether a source is a folder of poses or a readable file with several poses."""
     try:
         return Path(source).is_dir() or len(poses(Path(source))) > 1

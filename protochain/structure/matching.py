@@ -12,7 +12,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.chains import PairSums, least_deviation
+from protochain.structure.chains import PairSums, least_rmsd_mapping
 from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import STANDARD_INPUT, parse
 from protochain.structure.molecule.model import Structure
@@ -25,7 +25,7 @@ Proteins 9:56 (1991), and Rost, Protein Eng. 12:85 (1999), for some 80 residues.
 pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps did not count."""
 _ONE_FOLD = 0.5
 """Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
-_AS_ALIKE = 0.95
+_EXCHANGEABLE = 0.95
 """Least identity of exchangeable chains, relative to the most similar chain. OpenStructure regards chains as
 equal from an identity of 0.95 on."""
 
@@ -69,7 +69,7 @@ def match(reference: Structure, model: Structure) -> Match:
     place = {name: j for j, name in enumerate(models)}
     by_id = np.array([place.get(name, -1) for name in refs])
     first = by_id if numbered else _by_score(refs, models, aligned)
-    mapping = _least(reference, model, aligned, first)
+    mapping = _least_rmsd_mapping(reference, model, aligned, first)
     columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
     if numbered and (mapping == first).all():
         return _make_match(reference, model, numbered, "numbers", columns)
@@ -80,7 +80,7 @@ def match(reference: Structure, model: Structure) -> Match:
         if aligned[i, j].identity >= _RELATED:
             how = "sequence"
         else:
-            chain_pairs, score = _of_one_fold(reference, model, refs[ref_id], models[model_id], chain_pairs)
+            chain_pairs, score = _pairs_of_fold(reference, model, refs[ref_id], models[model_id], chain_pairs)
         if chain_pairs and score >= _ONE_FOLD:
             pairs, matched = pairs + chain_pairs, [*matched, (i, j)]
         else:
@@ -140,7 +140,7 @@ _FARTHEST = 1000.0
 """Angstrom. Every assembly is shorter."""
 
 
-def measurable(source: Any) -> Structure:
+def structure_to_measure(source: Any) -> Structure:
     """Return the structure of a measurable source, or the first model of a file."""
     if not isinstance(source, str | Path):
         return as_structure(source)
@@ -228,7 +228,7 @@ def _by_score(
     return mapping
 
 
-def _least(
+def _least_rmsd_mapping(
     reference: Structure, model: Structure, aligned: Mapping[tuple[int, int], _Alignment], first: Integers
 ) -> Integers:
     """Mapping of chains with the least RMSD, among chains as similar as in the first mapping."""
@@ -239,7 +239,7 @@ def _least(
     alike = np.where(identity >= _RELATED, identity * n_matched, 0.0)
     likest = np.maximum(alike.max(axis=1)[:, None], alike.max(axis=0)[None])
     highest = np.maximum(identity.max(axis=1)[:, None], identity.max(axis=0)[None])
-    exchangeable = (identity >= _AS_ALIKE * highest) & (alike >= 0.5 * likest) & (alike > 0.0)
+    exchangeable = (identity >= _EXCHANGEABLE * highest) & (alike >= 0.5 * likest) & (alike > 0.0)
     exchangeable[np.flatnonzero(first >= 0), first[first >= 0]] = True
     if (exchangeable.sum(axis=0) < 2).all() and (exchangeable.sum(axis=1) < 2).all():
         return first
@@ -254,7 +254,7 @@ def _least(
     sums = PairSums.of(points, k, m)
     if not (sums.weight[first >= 0, first[first >= 0]] > 0).all():
         return first  # Without C-alphas there is no RMSD.
-    return least_deviation(sums, first)
+    return least_rmsd_mapping(sums, first)
 
 
 def _alphas(s: Structure) -> Floats:
@@ -266,7 +266,7 @@ def _alphas(s: Structure) -> Floats:
     return x
 
 
-def _of_one_fold(
+def _pairs_of_fold(
     reference: Structure, model: Structure, ref: list[int], query: list[int], aligned: list[tuple[int, int]]
 ) -> tuple[list[tuple[int, int]], float]:
     """Pairs of residues of chains with unrelated sequences, as designs on one backbone, and the TM-score."""

@@ -34,7 +34,7 @@ def select(structure: Structure, selection: str) -> np.ndarray:
         groups[name] = universe.atoms[_WORDS[word[1]](structure, word[2] or "")]
         return f"group {name}"
 
-    query = _word(structure).sub(as_group, selection)
+    query = _word_pattern(structure).sub(as_group, selection)
     try:
         # MDAnalysis warns of an empty text.
         chosen = universe.select_atoms(query, **groups) if query.strip() else universe.atoms[:0]
@@ -149,7 +149,7 @@ def _touching(structure: Structure) -> Integers:
     """(n, 2) int: residues with heavy atoms within 5 angstrom, without waters, the smaller index first."""
     residue = structure.atom_residue
     (heavy,) = np.nonzero((structure.atom_element != "H") & ~is_water(structure)[residue])
-    pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
+    pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_CONTACT, output_type="ndarray")]
     return np.unique(np.sort(residue[pairs], axis=1), axis=0).reshape(-1, 2)
 
 
@@ -202,7 +202,7 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 
 
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
-_TOUCHING = 0.5
+_CONTACT = 0.5
 """nm. Largest distance of heavy atoms of residues in contact, as in CAPRI."""
 _WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
     "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
@@ -211,7 +211,7 @@ _WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
 """Selection words that MDAnalysis lacks."""
 
 
-def _word(structure: Structure) -> re.Pattern[str]:
+def _word_pattern(structure: Structure) -> re.Pattern[str]:
     """Pattern of these words, with the sides of an interface if present, but not inside other words."""
     chain = "|".join(re.escape(name) for name in {*structure.residue_chain.tolist()} if name) or "(?!)"
     side = rf"(?!(?:and|or)\b)(?:{chain}|[\w,]+)"

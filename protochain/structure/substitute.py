@@ -44,6 +44,7 @@ def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) 
         is_same = residue.name == before.name
         kind = Kind.SIDE_CHAIN_BUILT if is_same else Kind.MUTATED
         notes.append(Repair(kind, {"residue": before} | ({} if is_same else {"name": residue.name})))
+    # Bonds of the removed side chains are removed.
     model.connections = gemmi.ConnectionList(
         bond
         for bond in model.connections
@@ -52,6 +53,7 @@ def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) 
             for end in (bond.partner1, bond.partner2)
         )
     )
+    # The rest is prepared with the chemistry of its ligands, and the missing side chains are built.
     number_atoms(model)
     chemistry = {
         str(structure.residue_name[structure.atom_residue[ligand.atoms[0]]]): (
@@ -69,10 +71,10 @@ def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) 
         if draft.members[r].name == structure.residue_name[r]:
             draft.members[r].order = tuple(structure.atom_name[structure.atom_residue == r].tolist())
     new = prepare(draft)
-    return _as_of(new, structure, np.array(sources), notes)
+    return _with_history(new, structure, np.array(sources), notes)
 
 
-def _as_of(new: Structure, old: Structure, sources: np.ndarray, notes: list[Repair]) -> Structure:
+def _with_history(new: Structure, old: Structure, sources: np.ndarray, notes: list[Repair]) -> Structure:
     """Return the new structure with the origin, repairs and header of the old one."""
     assert new.origin is not None
     place = np.where(new.origin.place < 0, -1, sources[new.origin.place])

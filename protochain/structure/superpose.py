@@ -27,7 +27,7 @@ def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
 
 def motion_of(covariance: Floats, own_centre: Floats, centre: Floats) -> tuple[Floats, Floats]:
     """Rotation and translation, by Kabsch, from the sum (3, 3) of reference times points about centres."""
-    # Not scipy's align_vectors, which warns that one or two points fix no rotation; their RMSD is unique.
+    # Not scipy's align_vectors, which warns that one or two points fix no rotation. Their RMSD is unique.
     u, _, vt = np.linalg.svd(covariance)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turn = np.asarray(u @ flip @ vt)

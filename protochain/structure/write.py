@@ -419,7 +419,7 @@ def _pdb(
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     order = orders(models[0].header, chemistry)
     # Without a remark the dictionary has the orders of a component.
-    _draw(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in complete})
+    _connect(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in complete})
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
@@ -429,7 +429,7 @@ def _pdb(
     return with_names(str(_merge_parts(out).make_pdb_string(head)), names) + written
 
 
-def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
+def _connect(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
     """Add CONECT records for bonds between residues, and in components that programs may not know."""
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]

@@ -8,7 +8,7 @@ from protochain.core.arrays import Floats, floats
 from protochain.core.checks import flag
 from protochain.core.timings import part
 from protochain.structure.convert import as_structure
-from protochain.structure.matching import measurable
+from protochain.structure.matching import structure_to_measure
 from protochain.validation.findings import MEASURES, Findings
 from protochain.validation.ligands import with_posebusters
 from protochain.validation.likeness import likeness
@@ -82,7 +82,7 @@ def validate(source: Any, reference: Any = None, posebusters: bool = False, **se
     values, table = findings.measures(), findings.table()
     mapping: str | None = None
     if reference is not None:
-        alike = likeness(structure, measurable(reference))
+        alike = likeness(structure, structure_to_measure(reference))
         values |= alike.measures
         mapping = alike.match.chain_mapping
         table["lddt"] = alike.lddt[table.index]

@@ -526,7 +526,7 @@ def test_a_table_of_a_part_is_not_the_chemistry_of_a_component(bonds, atoms):
 def test_a_molecule_of_a_file_with_several_is_given_by_its_number(tmp_path):
     text, path = "".join(file(name).read_text() for name in ("1P2Y_NCT", "1MEH_MOA")), tmp_path / "poses.sdf"
     path.write_text(text)
-    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.are_several(str(path))
+    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.has_poses(str(path))
     for number, name in enumerate(("1P2Y_NCT", "1MEH_MOA"), 1):
         made, alone = sources.read(f"{path}#{number}"), sources.read(file(name))
         assert made.source == f"{path}#{number}" and np.array_equal(made.positions, alone.positions)
@@ -543,7 +543,7 @@ def test_a_mol2_file_with_several_molecules_has_each_by_its_number(tmp_path):
     text = as_mol2(of, charges, range(of.n_atoms))
     moved = as_mol2(replace(of, positions=of.positions + 1.0), charges, range(of.n_atoms))
     path.write_text(text + moved)
-    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.are_several(str(path))
+    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.has_poses(str(path))
     first, second = (sources.read(f"{path}#{number}").positions for number in (1, 2))
     assert np.allclose(second - first, 1.0) and np.allclose(first, of.positions, atol=1e-5)
 

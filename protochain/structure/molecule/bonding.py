@@ -123,7 +123,7 @@ class Graph:
     ) -> list[str]:
         """Free valences of an atom for a bond, first from bonds to ``single`` neighbours."""
         z, q = self.atoms[a]
-        # Hydrogens that the file has leave last.
+        # Hydrogens of the file leave last.
         light, heavy = sorted(self.light(a), key=lambda x: x in filed), self.heavy(a)
         room = 3 - sum(self.order(a, x) for x in heavy) - order
         if z == _N and room >= 0:
@@ -140,8 +140,8 @@ class Graph:
         # The carbonyl of an acid stays. One of its groups leaves.
         is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
         for x in multiple:
-            is_kept = is_acid and self.atoms[x][0] == _O
-            if need > 0 and (x in single or (len(light) < need and not is_kept)):
+            is_carbonyl = is_acid and self.atoms[x][0] == _O
+            if need > 0 and (x in single or (len(light) < need and not is_carbonyl)):
                 self.bonds[frozenset((a, x))] -= 1
                 need -= 1
         alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]

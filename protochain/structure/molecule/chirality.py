@@ -27,7 +27,7 @@ _CENTRES = {
     "HYP": {**_ALPHA, "CG": ("CB", "CD", "OD1")},
 }
 """Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
-_OF_L = ("N", "C", "CB"), ("C", "CB", "N"), ("CB", "N", "C")
+_ALPHA_ORDERS = ("N", "C", "CB"), ("C", "CB", "N"), ("CB", "N", "C")
 _SUGAR = {"C3'": ("C4'", "C2'", "O3'"), "C4'": ("C5'", "C3'", "O4'")}
 for _name in NUCLEOTIDES:
     _ribose = {} if _name.startswith("D") else {"C2'": ("C3'", "C1'", "O2'")}
@@ -123,14 +123,14 @@ def chiral_atoms(structure: Structure) -> Integers:
         at[centre]: [at[name] for name in (centre, *neighbours)]
         for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
         for centre, neighbours in sugars.get(r, centres(str(residue))).items()
-        # Not of dehydroamino acids, whose C-alpha is planar.
+        # Dehydroamino acids have a planar C-alpha.
         if {centre, *neighbours} <= at.keys() and len(structure.neighbours[at[centre]]) > 3
     }
     name, res = structure.atom_name, structure.atom_residue
     for ligand in (*structure.ligands, *structure.fragments):
         source_rows = [row for row in _source_centres(ligand) if min(row) >= 0]
         alphas = (row for row in source_rows if name[row[0]] == "CA")
-        are_l = {res[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _OF_L}
+        are_l = {res[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _ALPHA_ORDERS}
         for i, a, b, c in source_rows:
             quartets[i] = [i, b, a, c] if structure.mirrored[res[i]] and res[i] not in are_l else [i, a, b, c]
     rows = np.array([*quartets.values()], dtype=np.int64).reshape(-1, 4)
@@ -147,7 +147,7 @@ def _source_centres(ligand: BoundLigand) -> Iterator[list[int]]:
         bonded = near[centre]
         order = sorted(range(len(bonded)), key=lambda k: (molecule.elements[bonded[k]] == 1, k))
         swaps = sum(a > b for a, b in combinations(order, 2))
-        # RDKit's clockwise: the first three neighbours span a negative volume.
+        # Clockwise in RDKit: the first three neighbours span a negative volume.
         positive = (molecule.handedness[centre] == 2) == (swaps % 2 == 0)
         a, b, c = (bonded[k] for k in order[:3])
         yield ligand.atoms[[centre, *((a, b, c) if positive else (b, a, c))]].tolist()

@@ -16,7 +16,7 @@ NamedDihedral = tuple[str, str, list[int | None]]
 _SHOWN = ("phi", "psi", "omega", *(f"chi{k}" for k in range(1, 6)))
 
 
-def finder(
+def dihedral_finder(
     structure: Any, kinds: Collection[str]
 ) -> tuple[list[dict[str, int]], Callable[[int], list[NamedDihedral]]]:
     """Return the atoms of each residue by name, and a function that finds its dihedrals of these kinds."""
@@ -49,7 +49,7 @@ def dihedrals(structure: Any) -> "pd.DataFrame":
     """Dihedrals in degrees, one row per protein residue, as in :meth:`Structure.dihedrals`."""
     import pandas as pd
 
-    _, dihedrals_of = finder(structure, ("phi", "psi", "omega", "chi"))
+    _, dihedrals_of = dihedral_finder(structure, ("phi", "psi", "omega", "chi"))
     protein = np.unique(structure.atom_residue[~structure.kept]).tolist()
     rows = [(r, label, atoms) for r in protein for _, label, atoms in dihedrals_of(r) if None not in atoms]
     atoms = np.array([atoms for *_, atoms in rows], dtype=np.int64).reshape(-1, 4)

@@ -45,7 +45,7 @@ class Words(NamedTuple):
 class Kind(Enum):
     """Kinds of repairs, with their words."""
 
-    # Of the file.
+    # Of the file and its models.
     LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
     NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number below 1000: read as 0")
     NO_ELEMENT = Words(
@@ -83,7 +83,7 @@ class Kind(Enum):
         "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
         "those of {residues:6}"
     )
-    # Of what is taken.
+    # Of its residues.
     ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
     DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
     ALTERNATES = Words(
@@ -143,7 +143,7 @@ class Kind(Enum):
     )
     CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
     CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
-    # Beside the protein.
+    # Hetero molecules.
     WATERS_LEFT_OUT = Words(
         "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
     )
@@ -410,7 +410,7 @@ def summarise(repairs: Iterable[Repair], render: Render = str) -> tuple[str, ...
     for repair in repairs:
         groups[_group(repair, render)].append(repair)
     return tuple(
-        _in_words(*group, groups[group], render) for group in sorted(groups, key=lambda group: group[0])
+        _group_text(*group, groups[group], render) for group in sorted(groups, key=lambda group: group[0])
     )
 
 
@@ -456,7 +456,7 @@ def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
     return rank, _fill(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, render)
 
 
-def _in_words(rank: Rank, change: str, alike: list[Repair], render: Render) -> str:
+def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) -> str:
     """Summarise a group of repairs. A single repair has its own text, unless it is a histidine state."""
     if rank is Rank.HISTIDINE:
         his: dict[str, list[str]] = defaultdict(list)

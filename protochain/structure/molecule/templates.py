@@ -103,7 +103,7 @@ class Template:
 
 def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
     """Templates by name: proteins, caps, nucleic acids, water and ions."""
-    # A user's file may change between calls.
+    # Not cached because a user's file may change between calls.
     users = {name: replace(template, is_users=True) for name, template in _read(user_files).items()}
     return {**users, **_phosphates(), **_amber()}
 
@@ -194,7 +194,7 @@ def strand_junctions(*files: str) -> bytes:
 
 
 _KINDS = ("DNA-", "RNA-")
-"""Prefixes of the atom types of OpenMM's files."""
+"""Prefixes of atom types in OpenMM's files."""
 _EXTRA_POINT = "EP"
 """Class of virtual sites, without a prefix."""
 
@@ -328,7 +328,7 @@ def name_by_atoms(
     if name == code and name in (*STANDARD, *CAPS, "HOH"):
         return code, ""
     heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
-    if (name == code or name in NUCLEOTIDES) and code not in stated and (match := _of_atoms(code, heavy)):
+    if (name == code or name in NUCLEOTIDES) and code not in stated and (match := _from_atoms(code, heavy)):
         return match, ""
     if name == code:
         return code, ""
@@ -347,9 +347,9 @@ def name_by_atoms(
     return (name, state) if fits else (code, "")
 
 
-def _of_atoms(code: str, heavy: set[str]) -> str:
+def _from_atoms(code: str, heavy: set[str]) -> str:
     """Standard residue with these heavy atoms (GLUP, ARN, RA ...), unless an archive's component has them."""
-    if code == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_OF_ENDS}:
+    if code == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_AT_ENDS}:
         return "ALA" if "CB" in heavy else "GLY"
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
     if (
@@ -360,15 +360,15 @@ def _of_atoms(code: str, heavy: set[str]) -> str:
         return ""
     for name in sorted(NUCLEOTIDES) if is_nucleic else STANDARD:
         template = _amber()["HIP" if name == "HIS" else name]
-        if {template.synonyms.get(name, name) for name in heavy} - _OF_ENDS == {*template.heavy} - _OF_ENDS:
+        if {template.synonyms.get(name, name) for name in heavy} - _AT_ENDS == {*template.heavy} - _AT_ENDS:
             # A nucleotide of the archive may be incomplete, or another arrangement of the same atoms.
-            present, listed = heavy - _OF_ENDS, heavy_atoms(code) - _OF_ENDS
+            present, listed = heavy - _AT_ENDS, heavy_atoms(code) - _AT_ENDS
             is_listed = present <= listed if is_nucleic and code not in NUCLEOTIDES else present == listed
             return "" if is_listed and code not in NUCLEOTIDES else name
     return ""
 
 
-_OF_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
+_AT_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
 """Heavy atoms that depend on the place of a residue in a chain or at its end."""
 
 
@@ -378,7 +378,7 @@ def archive_parent(name: str) -> str:
         return _PARENTS[name]
     info = gemmi.find_tabulated_residue(name)
     if info is not None and info.is_amino_acid():
-        return _OF_LETTER.get(info.one_letter_code.upper(), "")
+        return _PARENT_OF_LETTER.get(info.one_letter_code.upper(), "")
     return ""
 
 
@@ -399,7 +399,7 @@ _PARENTS = {
     for name in names.split()
 }  # fmt: skip
 """Parents from PDBFixer 1.12 (see NOTICE). The archive lacks the parents of most of these names."""
-_OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
+_PARENT_OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
     "U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"
 }  # fmt: skip
 """Selenocysteine, pyrrolysine, B and Z become the standard residues like them."""

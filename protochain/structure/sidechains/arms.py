@@ -20,7 +20,7 @@ class Arm:
     """Rotatable part of a side chain."""
 
     axes: tuple[tuple[int, ...], ...]  # Atoms that define each dihedral, from the backbone outward.
-    outward: tuple[Integers, ...]  # Atoms that each dihedral turns; the first turns them all.
+    outward: tuple[Integers, ...]  # Atoms that each dihedral rotates. The first rotates all of them.
 
     @property
     def moved_atoms(self) -> Integers:

@@ -15,7 +15,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.sidechains.conflicts import neighbour_tables
-from protochain.structure.sidechains.reduction import SLIGHT, Part, eliminate_dead_ends, raise_bound
+from protochain.structure.sidechains.reduction import ROUND_OFF, Part, eliminate_dead_ends, raise_bound
 
 _LARGEST = 1_000_000
 """Largest number of entries of a table in the elimination of sites. Larger components are branched."""
@@ -76,7 +76,7 @@ class _Search:
             part, decided = raise_bound(part), decided | newly_decided
             energy, states = _initial_guess(part)
             if energy < limit:
-                solution, limit = (energy, decided | states), energy - SLIGHT
+                solution, limit = (energy, decided | states), energy - ROUND_OFF
             bound = part.bound
             if bound >= limit:
                 return solution
@@ -182,7 +182,7 @@ def _descend(energies: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]
                 (table[:, states[j]] for j, table in partners[i] if states[j] >= 0), np.zeros(len(self_costs))
             )
             k = int(np.argmin(cost))
-            if states[i] < 0 or cost[k] < cost[states[i]] - SLIGHT:
+            if states[i] < 0 or cost[k] < cost[states[i]] - ROUND_OFF:
                 states[i], improves = k, True
     return states
 

@@ -65,7 +65,7 @@ class Ideal:
 @cache
 def ideal(residue: str) -> Ideal:
     """Return the ideal geometry of one of the 20 standard residues."""
-    # Imported here: it imports Biopython, which would slow every start of the program.
+    # Imported here because Biopython would slow every start of the program.
     import PeptideBuilder
 
     geometry = PeptideBuilder.Geometry.geometry(residues.STANDARD[residue])

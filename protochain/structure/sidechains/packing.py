@@ -24,19 +24,19 @@ from protochain.structure.sidechains.ideal import Places, build_atoms, conformer
 from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
 from protochain.structure.sidechains.sites import Site
 
-_APART = 3
+_EXCLUDED_BONDS = 3
 """Bonds. Atoms at most so many bonds apart do not interact."""
 _TURN, _FINER = np.deg2rad(9.0), np.deg2rad(8.0)
 """Rad. Turns about chi1 of a rotamer in the first step, and about chi1 and chi2 in the second."""
-_TURNED = np.deg2rad(9.5)
+_TURN_WIDTH = np.deg2rad(9.5)
 """Rad. A turn of this size costs 0.5."""
-_MANY = frozenset({"ARG", "GLN", "GLU", "LYS", "PRO", "SER"})
+_NOT_TURNED = frozenset({"ARG", "GLN", "GLU", "LYS", "PRO", "SER"})
 """Residues without turns in the first step. They have many rotamers, or ring puckers."""
-_HOPELESS = 20.0
+_COST_CUTOFF = 20.0
 """Largest cost above the best conformer, without the other side chains."""
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
 """Angstrom, angstrom, -: a disulfide bond, its deviation, and its gain."""
-_BETAS = (3.2, 4.7)
+_CB_DISTANCES = (3.2, 4.7)
 """Angstrom: least and largest distance of the CB across a disulfide bond."""
 
 
@@ -86,8 +86,8 @@ def candidate_conformers(site: Site) -> tuple[Floats, Floats]:
         near = np.exp(-0.5 * (wrap_angle(turns - chi.T) / WIDTH) ** 2)
         chi, frequency = turns, near @ frequency
     cost = rarity(name, frequency)
-    if name not in _MANY and name != "CYS" and chi.shape[1]:
-        chi, cost = dihedral_grid(chi, cost, (0.0, -_TURN, _TURN), 1, _TURNED)
+    if name not in _NOT_TURNED and name != "CYS" and chi.shape[1]:
+        chi, cost = dihedral_grid(chi, cost, (0.0, -_TURN, _TURN), 1, _TURN_WIDTH)
     for k, value in fixed_chi(name, site.heavy_positions).items():
         if k < chi.shape[1]:
             cost = cost + 0.5 * (wrap_angle(chi[:, k] - value) / WIDTH) ** 2
@@ -98,7 +98,7 @@ def _turns_about(choices: Choices, state: int) -> tuple[Floats, Floats]:
     """Return dihedrals around a conformer and their costs."""
     chi = choices.chi[[state]]
     n = 0 if choices.site.member.name == "PRO" else min(2, chi.shape[1])
-    return dihedral_grid(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURNED)
+    return dihedral_grid(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURN_WIDTH)
 
 
 def _choices(site: Site, surroundings: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
@@ -106,7 +106,7 @@ def _choices(site: Site, surroundings: "_Surroundings", chi: Floats, cost: Float
     names = tuple(built)
     x = site.sign * np.stack([built[name] for name in names], axis=1)
     cost = cost + surroundings.energies(site, names, x)
-    hopeful = cost <= cost.min() + _HOPELESS
+    hopeful = cost <= cost.min() + _COST_CUTOFF
     return Choices(site, names, chi[hopeful], np.ascontiguousarray(x[hopeful]), cost[hopeful])
 
 
@@ -204,11 +204,11 @@ def _nearby(site: Site) -> dict[str, set[tuple[int, str]]]:
     if site.after:
         join((owner, "C"), (id(site.after), "N"))
         join((id(site.after), "N"), (id(site.after), "CA"))
-    return {name: within(bonds, (owner, name), _APART) for name in ideal(site.member.name).x}
+    return {name: within(bonds, (owner, name), _EXCLUDED_BONDS) for name in ideal(site.member.name).x}
 
 
 def _disulfide(distance: Floats, betas: float) -> Floats:
     """Cost of two sulphurs at a distance, negative for a bond if the backbones allow one."""
-    if not _BETAS[0] < betas < _BETAS[1]:
+    if not _CB_DISTANCES[0] < betas < _CB_DISTANCES[1]:
         return np.zeros_like(distance)
     return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((distance - _BOND) / _BOND_WIDTH) ** 2))

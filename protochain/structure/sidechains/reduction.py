@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.compilation import njit
 from protochain.structure.sidechains.conflicts import Pairs, neighbour_tables
 
-SLIGHT = 1e-9
+ROUND_OFF = 1e-9
 """kJ/mol. Round-off of energies. A smaller spread counts as zero."""
 _ROUNDS = 30
 """Largest number of rounds of message passing. They end when the bound hardly rises."""
@@ -124,8 +124,8 @@ def _goldstein(energies: Floats, rows: Floats, starts: Integers) -> np.ndarray:
                 for c in range(starts[k], starts[k + 1]):
                     low = min(low, rows[r, c] - rows[t, c])
                 excess += low
-            # Of equal ones, the first stays.
-            if excess > SLIGHT or (t < r and excess >= 0.0):
+            # The first of equal states stays.
+            if excess > ROUND_OFF or (t < r and excess >= 0.0):
                 left[r] = False
                 break
     return left
@@ -143,7 +143,7 @@ def raise_bound(part: Part) -> Part:
     pairs = {
         (i, j): tables[begin:end].reshape(len(part.energies[i]), len(part.energies[j]))
         for (i, j), begin, end in zip(part.pairs, start, start[1:], strict=False)
-        if tables[begin:end].max() >= SLIGHT
+        if tables[begin:end].max() >= ROUND_OFF
     }
     return Part(part.sites, tuple(np.split(energies, first[1:-1])), part.states, pairs, part.constant)
 

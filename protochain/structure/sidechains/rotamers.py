@@ -23,11 +23,11 @@ _TURN = 256
 
 def rotamers(residue: str, phi: float = BACKBONE[0], psi: float = BACKBONE[1]) -> tuple[Floats, Floats]:
     """Dihedrals (n, n_chi), rad, of an L-amino acid at phi, psi (degrees), and frequencies (n,) of sum 1."""
-    return _at(residue, *(int(np.rint((angle + 180.0) / _STEP)) % _BINS for angle in (phi, psi)))
+    return _rotamers_in_bin(residue, *(int(np.rint((angle + 180.0) / _STEP)) % _BINS for angle in (phi, psi)))
 
 
 @cache
-def _at(residue: str, i: int, j: int) -> tuple[Floats, Floats]:
+def _rotamers_in_bin(residue: str, i: int, j: int) -> tuple[Floats, Floats]:
     if residue not in _library():
         return read_only(np.zeros(0)), read_only(np.zeros(0))
     start, chi, rarity = _library()[residue]

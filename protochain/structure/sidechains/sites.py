@@ -15,7 +15,7 @@ class Site:
     """A residue whose side chain is to be completed."""
 
     member: Member
-    sign: int  # 1, or -1 for a D-amino acid, which is built in the mirror.
+    sign: int  # 1, or -1 for a D-amino acid, which is built as its mirror image.
     before: Member | None  # Its neighbours in the chain.
     after: Member | None
 
