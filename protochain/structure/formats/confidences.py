@@ -1,7 +1,4 @@
-"""Confidence files that structure predictors write next to a model: search, copying and parsing.
-
-Files are identified by the names that each program uses, not by their contents.
-"""
+"""Confidence files that structure predictors write next to a model, identified by their names."""
 
 import json
 import re

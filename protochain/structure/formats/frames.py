@@ -302,8 +302,7 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
 XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
 """Bytes before compressed and before raw coordinates, largest number of atoms with raw coordinates, magic."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
-"""Largest span of coordinates in units of the precision, bits of small differences, and largest span for
-which the axes are packed together."""
+"""Largest span of coordinates, bits of small differences, largest span with axes packed together."""
 
 
 def _trr_end(head: bytes, n_atoms: int) -> int:

@@ -37,8 +37,7 @@ _ION_CHARGE = dict(_IONS.values()) | {
 }
 """Charge of each element's ion. A component with the name of the element has priority."""
 _OXIDATION_STATES = {"Fe": 2, "Co": 3, "Mn": 3, "Ni": 2, "Cu": 2, "Mo": 4, "Ru": 2, "V": 4}
-"""Oxidation states of metals in complexes that differ from their ions: ferrous hemes, cobalamins as
-cob(III)alamin, manganese porphyrins."""
+"""Oxidation states that differ from ions: ferrous hemes, cobalamins as cob(III)alamin, Mn porphyrins."""
 _OXIDATION_STATES_BY_NAME = {("F43", "Ni"): 1, ("MNH", "Mn"): 2, ("COH", "Co"): 2, ("SIR", "Co"): 2}
 """Oxidation states by component: F430 as in active methyl-coenzyme M reductase (Goubeaud, Schreiner,
 Thauer, Eur. J. Biochem. 243:110, 1997), porphyrins by their names."""

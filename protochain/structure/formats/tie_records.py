@@ -1,7 +1,4 @@
-"""Records of the springs between the protein and hetero molecules, which make results readable again.
-
-mmCIF files have a separate category for the springs, PDB files a remark with fixed columns.
-"""
+"""Springs between the protein and hetero molecules, as mmCIF rows and PDB remarks that restore them."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
@@ -42,10 +39,7 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
 
 
 def of_structure(structure: Structure) -> list[Spring]:
-    """Return the springs of a structure, and one atom of each fixed or free hetero molecule.
-
-    Waters, and molecules bonded to the protein that move with it, have no such atom.
-    """
+    """Return springs, and one atom of each fixed or free hetero molecule except waters and glycosides."""
     residue = structure.atom_residue
 
     def address(atom: int) -> Address:

@@ -49,8 +49,7 @@ _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
 limit applies, because a strand may be torn. Ends of two strands of a duplex are at least 15 apart."""
 _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 _LARGEST = 2000
-"""Maximum number of atoms of a molecule with parameters by element, because memory grows quadratically. The
-largest in the PDB have some hundreds."""
+"""Maximum size of a molecule with parameters by element (memory is quadratic). The PDB has some hundreds."""
 _SHOWN = 20
 _DUMMY = ("DUM", "MMB")
 """Membrane markers of OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and beads of LightDock."""
@@ -185,10 +184,7 @@ def _unusable_reason(member: Member) -> Reason | None:
 def _near_protein(
     draft: Draft, candidates: Sequence[HeteroResidue], user_names: Container[str], strands: Container[int]
 ) -> set[int]:
-    """Return ``id`` of candidates near the protein, and of all candidates connected to these.
-
-    Molecules defined by the user, including poses, count as protein, so that their site is complete.
-    """
+    """Return ``id`` of candidates near the protein or user molecules, and of all connected to these."""
     # Without protein, use the nucleic acids.
     nucleic = [r.member for r in candidates if r.kind == "nucleic" or id(r) in strands]
     site = draft.members or nucleic

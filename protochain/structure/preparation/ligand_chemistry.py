@@ -97,9 +97,7 @@ class LigandChemistry:
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
             charged = tuple(change for change in charged if change.after == now[change.atom])
             part.ligand = self._parametrise(molecule, charged)
-            if not shows_charges and _depends_on_ph(
-                self._read_source(member), name in self.chemistry.user_sources
-            ):
+            if not shows_charges and _uses_ph(self._read_source(member), name in self.chemistry.user_sources):
                 part.ligand = replace(part.ligand, unsure=unsure(molecule, self.chemistry.ph))
         except ProtochainError as error:
             # Raise errors for chemistry that the user has requested.
@@ -174,11 +172,11 @@ def _charge_for_ph(
     chemistry: Chemistry, molecule: Molecule, is_given: bool, donors: Collection[str] = ()
 ) -> MoleculeAtPh:
     """Protonate a molecule for the pH, unless its source determines its charges, as for SO4."""
-    by_ph = _depends_on_ph(molecule, is_given)
+    by_ph = _uses_ph(molecule, is_given)
     return at_ph(molecule, chemistry.ph, donors) if by_ph else (molecule, ())
 
 
-def _depends_on_ph(molecule: Molecule, is_given: bool) -> bool:
+def _uses_ph(molecule: Molecule, is_given: bool) -> bool:
     """Return whether the pH determines the charges of a molecule. It does not for SO4 or user charges."""
     # The neighbouring charges of nitro groups and oxides do not count.
     shown = {*np.flatnonzero(molecule.formal_charges).tolist()}

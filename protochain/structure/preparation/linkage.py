@@ -19,8 +19,7 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.preparation.structure_draft import Draft
 
 COVALENT_SLACK = 0.3
-"""Angstrom. Largest deviation of a bond from the sum of covalent radii (Cordero et al., Dalton Trans. 2832,
-2008)."""
+"""Angstrom. Largest deviation of a bond from covalent radii (Cordero et al., Dalton Trans. 2832, 2008)."""
 STATED_SLACK = 0.7
 """Angstrom. Largest excess length of a bond in the file. Models are inaccurate, and springs shorten it."""
 STATED = 3.3

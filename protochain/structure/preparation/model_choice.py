@@ -77,10 +77,7 @@ def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
 
 
 def _are_copies(structure: gemmi.Structure) -> bool:
-    """Return whether all models are displaced rigid copies of the first, as assemblies in PDB format.
-
-    Frames of a rigid body overlap. Copies share only atoms on an axis of symmetry.
-    """
+    """Return whether all models are displaced rigid copies of the first. Frames of a rigid body overlap."""
     models = [[*model.all()] for model in structure]
     atom_ids = [[(str(p.residue.seqid), p.residue.name, p.atom.name) for p in model] for model in models]
     first = [place.atom.pos for place in models[0]]
@@ -198,10 +195,7 @@ class _Partial(NamedTuple):
 
 
 def resolve_altlocs(places: Sequence[list[gemmi.Residue]], altloc: str) -> tuple[list[str], dict[int, int]]:
-    """Choose altlocs of groups in contact: the letter of most molecules, then of highest occupancy.
-
-    Return the letter of each group, and by index of each discarded group the group that excludes it.
-    """
+    """Choose altlocs of groups in contact (of most molecules, then occupancy), and map discarded groups."""
     letters, discarded = [altloc] * len(places), dict[int, int]()
     atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
     if not atoms:

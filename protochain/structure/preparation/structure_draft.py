@@ -248,8 +248,7 @@ class Draft:
     runs: list[list[Member]] = field(default_factory=list)  # Unbroken pieces of the protein's chains.
     orphans: set[int] = field(default_factory=set)  # ``id`` of unknown amino acids without a parent.
     hetero_residues: list[HeteroResidue] = field(default_factory=list)  # Residues outside the protein.
-    # Bonds between residues that the file lists.
-    stated_bonds: list[tuple[Address, Address]] = field(default_factory=list)
+    stated_bonds: list[tuple[Address, Address]] = field(default_factory=list)  # Bonds in the file.
     # Bonds of mobile glycans: glycosylated atom and anomeric carbon.
     glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
     contacts: Contacts = field(default_factory=Contacts)
