@@ -12,8 +12,8 @@ from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, check_arguments, optional, text
 from protochain.energies import Energy, as_energy
+from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
-from protochain.energies.shared import shared_energy
 from protochain.relaxation.relax_settings import fixed_options, split
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
@@ -59,7 +59,7 @@ class FrameResult(Value):
         """Energy of the relaxation, shared by all frames. None if this frame was not relaxed or failed."""
         if self.structure is None or not isinstance(self.task, RelaxFrames):
             return None
-        return self.task.energy or self.task.setup.energy(self.structure, shared_energy)
+        return self.task.energy or self.task.setup.energy(self.structure, cached_energy)
 
     @property
     def move(self) -> str | None:

@@ -120,11 +120,11 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
 
 
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
-    from protochain.energies.shared import shared_energy
+    from protochain.energies.energy_cache import cached_energy
 
     # Standard input of this process carries the jobs.
     structure = setup.load(regular(path))
-    return structure, setup.energy(structure, shared_energy)
+    return structure, setup.energy(structure, cached_energy)
 
 
 def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple["Relaxation", "pd.DataFrame"]:

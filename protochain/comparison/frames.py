@@ -8,7 +8,7 @@ from MDAnalysis.analysis.base import AnalysisBase
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
-from protochain.energies.shared import shared_energy
+from protochain.energies.energy_cache import cached_energy
 from protochain.minimisers import minimise, recipe_of
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.start import Start
@@ -77,7 +77,7 @@ class EveryFrame(AnalysisBase):
         end = None
         try:
             name = f"frame {self._ts.frame}"
-            start, chain, energy = self.setup.prepare(self.atoms, name, shared_energy)
+            start, chain, energy = self.setup.prepare(self.atoms, name, cached_energy)
             if self.method is None:
                 row |= _measures(Start(chain, energy).judgement)
                 end = start

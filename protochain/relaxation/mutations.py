@@ -18,8 +18,8 @@ from protochain.core.checks import check_arguments
 from protochain.core.checks import words as words_of
 from protochain.core.errors import Argument, ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
-from protochain.energies.shared import shared_energy
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.relax_settings import RelaxSettings, split
 from protochain.relaxation.relax_structure import relax_structure
@@ -277,7 +277,7 @@ def _rebuildable(structure: Structure, r: int) -> str:
 def _relax(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
     """Put side chains into their best rotamers and relax them, with all other atoms fixed."""
     move = _select_side_chains(structure, near)
-    energy = setup.energy(structure, shared_energy)
+    energy = setup.energy(structure, cached_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
 
 

@@ -14,7 +14,7 @@ from protochain.dynamics.loop import noise
 from protochain.searching.landscape import DescentEnd, Landscape
 from protochain.searching.minima import SAME_ENERGY, Symmetry
 from protochain.searching.moves import apply_move, cross_over, draw_kind, random_torsions
-from protochain.searching.pieces import Finding, stream
+from protochain.searching.walker_steps import Finding, stream
 
 BANK = 50
 """Number of random minima that are added to the bank together."""

@@ -12,7 +12,7 @@ from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
 from protochain.searching.landscape import Landscape
 from protochain.searching.moves import apply_move, draw_kind
-from protochain.searching.pieces import Finding, stream
+from protochain.searching.walker_steps import Finding, stream
 
 N_ADAPTIVE = 100
 """Number of hops in which the size of turns adapts to their acceptance. Then it is constant."""

@@ -20,9 +20,9 @@ from protochain.energies import Energy
 from protochain.searching import conformers
 from protochain.searching.landscape import Landscape
 from protochain.searching.minima import SAME_ENERGY, SAME_TORSION, clusters, free_energy, unique
-from protochain.searching.pieces import Finding
 from protochain.searching.search_settings import SearchSettings
 from protochain.searching.statistics import WARM_UP, blocks_of, drop_warm_up, mean_and_error, slope
+from protochain.searching.walker_steps import Finding
 from protochain.structure.superpose import rmsd_angstrom
 
 if TYPE_CHECKING:

@@ -23,7 +23,10 @@ from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
-from protochain.searching.pieces import (
+from protochain.searching.result import Search
+from protochain.searching.search_settings import SearchRunSettings, SearchSettings
+from protochain.searching.tempering import Replicas
+from protochain.searching.walker_steps import (
     SECONDS,
     Finding,
     Method,
@@ -33,9 +36,6 @@ from protochain.searching.pieces import (
     read_piece,
     write_piece,
 )
-from protochain.searching.result import Search
-from protochain.searching.search_settings import SearchRunSettings, SearchSettings
-from protochain.searching.tempering import Replicas
 
 _ATTEMPTS = 5
 """Attempts at a piece whose process ends: more memory may be available the next time."""

@@ -15,7 +15,7 @@ from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
 from protochain.searching.ladder import equally_spaced, geometric, length_of_acceptance
 from protochain.searching.landscape import Landscape
-from protochain.searching.pieces import Finding, stream
+from protochain.searching.walker_steps import Finding, stream
 
 STAGES = 3
 """Stages of the pilot. The temperatures are adapted after each stage but the last. Every walker runs the same

@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.batches import BatchSettings, Processes
 from protochain.cli import app
 from protochain.core import defaults
-from protochain.energies.shared import shared_energy
+from protochain.energies.energy_cache import cached_energy
 
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -91,7 +91,7 @@ def test_a_setup_prepares_as_the_separate_calls_do():
     cut = pc.build_chain(alone, "phi psi", "free")
     assert np.array_equal(chain.q0, cut.q0) and chain.root == "free"
     assert energy.fingerprint == pc.energy(alone, solvent="vacuum").fingerprint and energy.threads == 1
-    once, again = (pc.Setup().prepare(load("ala10.pdb"), build_energy=shared_energy) for _ in range(2))
+    once, again = (pc.Setup().prepare(load("ala10.pdb"), build_energy=cached_energy) for _ in range(2))
     assert once.structure is load("ala10.pdb") and once.energy is again.energy
     atoms = pc.to_mdanalysis(load("ala10.pdb")).atoms
     assert pc.Setup().prepare(atoms, "frame 0").structure.name == "frame 0"

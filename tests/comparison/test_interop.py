@@ -12,7 +12,7 @@ from fixtures.tolerances import NATIVE_ENERGY
 from openmm import app, unit
 
 import protochain as pc
-from protochain.energies.shared import shared_energy
+from protochain.energies.energy_cache import cached_energy
 
 SINGLE_NM = 2e-6
 """Positions of some nm in single precision."""
@@ -65,9 +65,9 @@ def test_every_frame_can_be_measured_only_and_a_bad_one_stops_nothing():
 
 def test_equal_atoms_share_an_energy_and_others_do_not():
     s = load("ala10.pdb")
-    first = shared_energy(s, solvent="vacuum")
-    assert shared_energy(s.with_positions(shaken(0)), solvent="vacuum") is first
-    assert shared_energy(s, solvent="obc2") is not first
+    first = cached_energy(s, solvent="vacuum")
+    assert cached_energy(s.with_positions(shaken(0)), solvent="vacuum") is first
+    assert cached_energy(s, solvent="obc2") is not first
     assert dataclasses.replace(s, obstacle=np.arange(s.n_atoms) == 0).fingerprint != s.fingerprint
     assert load("1l2y.pdb").fingerprint != s.fingerprint
 

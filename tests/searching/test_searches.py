@@ -20,8 +20,8 @@ from protochain.searching.folder import COLOURS, draw_minima
 from protochain.searching.hopping import N_ADAPTIVE, metropolis
 from protochain.searching.landscape import DescentEnd, Landscape
 from protochain.searching.minima import Symmetry
-from protochain.searching.pieces import Finding, PieceEnd, advance, read_piece, write_piece
 from protochain.searching.search_settings import SearchSettings
+from protochain.searching.walker_steps import Finding, PieceEnd, advance, read_piece, write_piece
 
 SMALL = {"n_walkers": 2, "seed": 3}
 

@@ -7,9 +7,9 @@ import protochain as pc
 from protochain.core.units import MOLAR_GAS
 from protochain.searching.ladder import geometric
 from protochain.searching.landscape import Landscape
-from protochain.searching.pieces import advance
 from protochain.searching.statistics import mean_and_error
 from protochain.searching.tempering import Replicas
+from protochain.searching.walker_steps import advance
 
 WITHIN = 3.5
 """Standard errors, of some twenty blocks: what chance does once in a thousand times."""

@@ -17,7 +17,7 @@ class _Atoms:
     structure: Structure = field(compare=False)
 
 
-def shared_energy(structure: Structure, **settings: Any) -> Energy:
+def cached_energy(structure: Structure, **settings: Any) -> Energy:
     """Build an energy, or reuse one built in this process for the same atoms with the same settings."""
     return _built(_Atoms(structure.fingerprint, structure), tuple(sorted(settings.items())))
 
