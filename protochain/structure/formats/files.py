@@ -94,9 +94,9 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         source.encode()  # Tables and structures contain the name as UTF-8.
     except UnicodeEncodeError:
         raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file") from None
-    overlooked: list[Repair] = []
+    repairs: list[Repair] = []
     if path.suffix.lower() in foreign.SUFFIXES:
-        return _normalise(foreign.by_mdanalysis(path), source, overlooked, True, "")
+        return _normalise(foreign.by_mdanalysis(path), source, repairs, True, "")
     text = _read_text(path, source)
     try:
         if _is_cif(text):
@@ -104,13 +104,13 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             block, *other_blocks = _blocks_with_atoms(gemmi.cif.read_string(text), source)
             if other_blocks:
                 names = tuple(unused_block.name for unused_block in other_blocks)
-                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
+                repairs.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
             ends = _is_complete_cif(text, block, source)
             _add_columns(block, source)
             structure, records = gemmi.make_structure_from_block(block), cif_header(block)
         else:
             _refuse_cut_pdb(text, source)
-            text, long_names = _correct_pdb(_ascii(text, source, _USED), source, overlooked)
+            text, long_names = _correct_pdb(_ascii(text, source, _USED), source, repairs)
             ends = any(line.startswith("END") for line in text.splitlines())
             # The newline: gemmi treats a short last line without it as incomplete.
             # The split at TER: gemmi would join residues of two chains with equal id, number and name.
@@ -124,23 +124,23 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     except (RuntimeError, ValueError, IndexError) as error:
         reason = excerpt(" ".join(str(error).replace("string:", "line ").split()))
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
-    return _normalise(structure, source, overlooked, ends, records)
+    return _normalise(structure, source, repairs, ends, records)
 
 
 def _normalise(
-    structure: gemmi.Structure, source: str, overlooked: list[Repair], ends: bool, records: str
+    structure: gemmi.Structure, source: str, repairs: list[Repair], ends: bool, records: str
 ) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Number atoms, name ions, join parts of residues, and separate chains, caps and molecule copies."""
     number_atoms(structure)
     name_ions(structure)
     join_residues(structure)
     separate_caps(structure)
-    overlooked += separate_chains(structure)
+    repairs += separate_chains(structure)
     structure.merge_chain_parts()
     _fill_missing(structure)
     check(structure, source)
-    overlooked += separate_molecules(structure, source)
-    return structure, overlooked, ends, records
+    repairs += separate_molecules(structure, source)
+    return structure, repairs, ends, records
 
 
 def _read_text(path: Path, source: str) -> str:
@@ -324,14 +324,14 @@ _STRANGE = re.compile(r"[^\t\n -~]")
 
 
 def _correct_pdb(
-    text: str, source: str, overlooked: list[Repair]
+    text: str, source: str, repairs: list[Repair]
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
     """Check and correct the columns of a PDB file. Return the text and residue names of four letters."""
     lines = text.split("\n")
     if indented := remove_indents(lines):
-        overlooked.append(Repair(Kind.INDENTED, {"count": indented}))
+        repairs.append(Repair(Kind.INDENTED, {"count": indented}))
     lines, joined = join_segments(lines, source)
-    overlooked += joined
+    repairs += joined
     long_names = _shorten_names(lines)
     add_elements(lines)
     in_model, unended, lower = False, 0, 0
@@ -368,11 +368,11 @@ def _correct_pdb(
             line = f"{line[:54]:<54}{occupancy:>6}{b_factor:>6}{line[66:]}"
         lines[i] = line
     if lower:
-        overlooked.append(Repair(Kind.LOWER_CASE, {"count": lower}))
+        repairs.append(Repair(Kind.LOWER_CASE, {"count": lower}))
     if strange:
-        overlooked.append(Repair(Kind.NO_ELEMENT, {"count": len(strange), "line": strange[0]}))
+        repairs.append(Repair(Kind.NO_ELEMENT, {"count": len(strange), "line": strange[0]}))
     if unended:
-        overlooked.append(Repair(Kind.NO_ENDMDL, {"count": unended}))
+        repairs.append(Repair(Kind.NO_ENDMDL, {"count": unended}))
     return "\n".join(lines), long_names
 
 

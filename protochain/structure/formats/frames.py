@@ -271,9 +271,9 @@ def xtc_end(head: bytes, n_atoms: int) -> int:
         return _XTC_RAW + 12 * n_atoms
     if len(head) < XTC_HEAD:
         return XTC_HEAD
-    again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
+    n_repeated, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
     spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
-    is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
+    is_sound = n_repeated == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
     return XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
 
 
@@ -476,8 +476,8 @@ def _npz(path: Path) -> Frames:
             yield Frame(k, _copy_nm(x, _UNITS[unit]))
 
     def read_backbones(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k, (x, turn) in _stream(path, (name, "node_orientations"), chosen):
-            yield Frame(k, backbones(_copy_nm(x), _copy_nm(turn)))
+        for k, (x, rotation) in _stream(path, (name, "node_orientations"), chosen):
+            yield Frame(k, backbones(_copy_nm(x), _copy_nm(rotation)))
 
     if of_backbones:
         return _frames_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
@@ -517,9 +517,9 @@ _C_O = 0.123
 """nm. Length of C=O."""
 
 
-def backbones(x: Floats, turn: Floats) -> Floats:
-    """Return N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, rotated by turn (n, 3, 3)."""
-    n, c = x + turn @ _N, x + turn @ _C
+def backbones(x: Floats, rotation: Floats) -> Floats:
+    """Return N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, rotated by (n, 3, 3)."""
+    n, c = x + rotation @ _N, x + rotation @ _C
     away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))
     return np.stack([n, x, c, c + _C_O * _unit(away)], axis=1).reshape(-1, 3)
 

@@ -116,12 +116,12 @@ def _record(line: str) -> str:
 
 def _frames(lines: list[str], segments: list[tuple[int, int]]) -> list[str]:
     """Write MODEL and ENDMDL records around the atoms of each segment."""
-    framed = []
+    output = []
     for number, (start, end) in enumerate(segments, 1):
         atoms = [k for k in range(start, end) if is_atom(lines[k])]
         head = lines[start : atoms[0]] if number == 1 else []
-        framed += [*head, f"MODEL     {number:4d}", *lines[atoms[0] : atoms[-1] + 1], "ENDMDL"]
-    return [*framed, *(line for line in lines if _record(line) == "CONECT"), "END"]
+        output += [*head, f"MODEL     {number:4d}", *lines[atoms[0] : atoms[-1] + 1], "ENDMDL"]
+    return [*output, *(line for line in lines if _record(line) == "CONECT"), "END"]
 
 
 def _renumber_serials(lines: list[str], ends: list[int]) -> list[str]:

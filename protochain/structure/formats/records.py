@@ -18,12 +18,12 @@ Rows = list[dict[str, str]]
 
 _MODIFIED = "_pdbx_struct_mod_residue."
 """Modified residues, which gemmi transfers as ``Structure.mod_residues``."""
-_ALWAYS = (
+_CATEGORIES = (
     "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
     "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
     tables.CATEGORY,
 )  # fmt: skip
-_OF_MODELS = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
+_MODEL_CATEGORIES = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
 """Categories copied for predicted models only. For experiments they describe the original positions."""
 _COMPONENT = {
     "_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id",
@@ -49,7 +49,7 @@ _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 def cif_header(block: gemmi.cif.Block) -> str:
     """Return the mmCIF categories that are copied to written files, as mmCIF text."""
     names = block.get_mmcif_category_names()
-    prefixes = _ALWAYS + (_OF_MODELS if any(name.startswith("_ma_") for name in names) else ())
+    prefixes = _CATEGORIES + (_MODEL_CATEGORIES if any(name.startswith("_ma_") for name in names) else ())
     return _text({name: _rows(block, name) for name in names if name.lower().startswith(prefixes)})
 
 
@@ -340,7 +340,7 @@ def _citation_records(categories: Mapping[str, Rows]) -> Iterator[tuple[str, str
 
 
 def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:
-    prefixes = (*_ALWAYS, *_OF_MODELS)
+    prefixes = (*_CATEGORIES, *_MODEL_CATEGORIES)
     names = [name for name in block.get_mmcif_category_names() if name.lower().startswith(prefixes)]
     return {name: _rows(block, name) for name in names}
 

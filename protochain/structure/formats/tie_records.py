@@ -50,14 +50,14 @@ def of_structure(structure: Structure) -> list[Spring]:
     records: list[Spring] = [
         (tuple(address(atom) for atom in tie.atoms), tie.rest, tie.stiffness) for tie in structure.ties
     ]
-    drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
+    restrained = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
     waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
     molecule = components(structure.bonds[~structure.coordination], structure.n_atoms)
-    borne = structure.mobile & np.isin(molecule, molecule[~structure.kept])
-    is_candidate = structure.kept & (structure.atom_element != "H") & ~borne
+    glycosides = structure.mobile & np.isin(molecule, molecule[~structure.kept])
+    is_candidate = structure.kept & (structure.atom_element != "H") & ~glycosides
     residues, first = np.unique(residue[is_candidate], return_index=True)
     for r, k in zip(residues.tolist(), np.flatnonzero(is_candidate)[first].tolist(), strict=True):
-        if r not in waters and (structure.obstacle[k] or r not in drawn):
+        if r not in waters and (structure.obstacle[k] or r not in restrained):
             records.append(((address(k),), 0.0, 0.0))
     return records
 

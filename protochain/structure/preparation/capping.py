@@ -53,10 +53,10 @@ class FragmentBuilder:
         chemist: LigandChemistry,
         members: Sequence[Member],
         links: Sequence[Link],
-        where: Mapping[int, Place],
+        places: Mapping[int, Place],
         special: Collection[int],
     ) -> None:
-        self.chemist, self.members, self.links, self.where = chemist, members, links, where
+        self.chemist, self.members, self.links, self.places = chemist, members, links, places
         self.special = special
         tags = [f"{m.name}-{k}" if k else m.name for k, m in enumerate(members)]
         self.tag = {id(m): f"{tag}:" for m, tag in zip(members, tags, strict=True)}
@@ -76,7 +76,7 @@ class FragmentBuilder:
             self.graph.add(tag, free)
             self.in_file |= {tag + a.name: a for a in m.heavy}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
-            if self.where[id(m)].part.obstacle:
+            if self.places[id(m)].part.obstacle:
                 self._drop_far_atoms(tag)
         # Bond them, and cap continuing chains.
         bonds = {}
@@ -84,8 +84,8 @@ class FragmentBuilder:
             ends = (link.member, link.atom), (link.hetero, link.hetero_atom)
             first, second = (self.tag[id(m)] + a.name for m, a in ends)
             leavers = self._join(first, second)
-            parted = (atom.split(":") for atom in leavers)
-            bonds[link] = tuple((self.member_of[tag], name) for tag, name in parted)
+            fields = (atom.split(":") for atom in leavers)
+            bonds[link] = tuple((self.member_of[tag], name) for tag, name in fields)
         for m in self.members:
             self._bond_and_cap(self.tag[id(m)], m)
         chemistry = self.chemist.chemistry
@@ -102,14 +102,14 @@ class FragmentBuilder:
         graph = Graph()
         graph.add("", ligand.molecule)
         owners, core = list[tuple[Member | None, str]](), list[str]()
-        strands = [m for m in self.members if self.where[id(m)].part.is_strand and id(m) in self.special]
+        strands = [m for m in self.members if self.places[id(m)].part.is_strand and id(m) in self.special]
         cores = {id(m): self._nucleic_core(graph, m) for m in strands}
         for name in graph.atoms:
             prefix, _, short = name.partition(":")
             m = self.member_of[prefix]
             owners.append(self._cap_owner(m, short) if short[-1] in "+-" else (m, short))
             is_core = id(m) not in self.special or (
-                not self.where[id(m)].part.obstacle and _is_core(graph, f"{prefix}:", short)
+                not self.places[id(m)].part.obstacle and _is_core(graph, f"{prefix}:", short)
             )
             core.append(cores[id(m)].get(short, "") if id(m) in cores else short if is_core else "")
         return Fragment(ligand, tuple(owners), tuple(core), bonds)
@@ -125,13 +125,13 @@ class FragmentBuilder:
 
     def _leaver(self, a: str) -> list[str]:
         """Return the oxygen of a nucleotide that leaves if the strand continues, under any name."""
-        if not self.where[id(self.member_of[a.partition(":")[0]])].part.is_strand:
+        if not self.places[id(self.member_of[a.partition(":")[0]])].part.is_strand:
             return []
         return [x for x in self.graph.heavy(a) if x not in self.in_file and self.graph.atoms[x][0] == _O][:1]
 
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Return the residue and atom that a cap atom represents, if any."""
-        part, _, before, after = self.where[id(member)]
+        part, _, before, after = self.places[id(member)]
         short = name[:-1]
         if part.obstacle:
             return before if name[-1] == "-" else after, short
@@ -142,7 +142,7 @@ class FragmentBuilder:
 
     def _nucleic_core(self, graph: Graph, member: Member) -> dict[str, str]:
         """Return force-field names of atoms of a nucleotide, or of a modified nucleotide's backbone."""
-        tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
+        tag, (part, _, before, after) = self.tag[id(member)], self.places[id(member)]
         is_standard = member.name in NUCLEOTIDES
         kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
         bond_ends = [end for x in self.links for end in ((x.member, x.atom), (x.hetero, x.hetero_atom))]
@@ -186,7 +186,7 @@ class FragmentBuilder:
         absent -= {
             x
             for x in absent
-            if graph.atoms[x][0] == _C and self.where[id(self.member_of[x.partition(":")[0]])].part.obstacle
+            if graph.atoms[x][0] == _C and self.places[id(self.member_of[x.partition(":")[0]])].part.obstacle
         }
         # Only C-C: poor models have amide and glycosidic bonds of nitrogen as short as double bonds.
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
@@ -222,7 +222,7 @@ class FragmentBuilder:
 
     def _bond_and_cap(self, prefix: str, member: Member) -> None:
         """Bond a residue to the next residue of the fragment, and cap bonds to residues outside it."""
-        part, _, before, after = self.where[id(member)]
+        part, _, before, after = self.places[id(member)]
         end, start = ("O3'", "P") if part.obstacle else ("C", "N")
         c, n, graph = prefix + end, prefix + start, self.graph
         if after is not None and id(after) in self.tag:
@@ -292,9 +292,9 @@ def _with_stereo(molecule: Molecule, sources: Mapping[str, Molecule]) -> Molecul
                 ways = [now[at[k]].index(j) for j in mapped[k]]
                 is_odd = sum(a > b for a, b in combinations(ways, 2)) % 2
                 handedness[at[k]] = 3 - free.handedness[k] if is_odd else free.handedness[k]
-        for *about, cis in free.double_bonds.tolist():
-            first, begin, end, last = (at[k] for k in about)
-            is_same = same[about[1]] and same[about[2]] and min(first, last) >= 0
+        for *quad, cis in free.double_bonds.tolist():
+            first, begin, end, last = (at[k] for k in quad)
+            is_same = same[quad[1]] and same[quad[2]] and min(first, last) >= 0
             if is_same and order[frozenset((begin, end))] == 2:
                 double.append([first, begin, end, last, cis])
     rows = read_only(double, np.int64).reshape(-1, 5)

@@ -51,11 +51,11 @@ _ACYLS = {
 def assign_chemistry(draft: Draft) -> Changes:
     """Parametrise residues without matching templates, and report them."""
     # Find the bonds of residues other than along a chain.
-    where = {
+    places = {
         id(m): Place(part, i, *part.neighbours(i)) for part in draft.parts for i, m in enumerate(part.members)
     }
-    cross = yield from _accept_bonds(_stated_cross_links(draft, where))
-    cross += _amides(draft, where)
+    cross = yield from _accept_bonds(_stated_cross_links(draft, places))
+    cross += _amides(draft, places)
     for link in cross:
         link.member.links.append(link.atom)
         link.hetero.links.append(link.hetero_atom)
@@ -64,28 +64,28 @@ def assign_chemistry(draft: Draft) -> Changes:
     bonds = hetero_links + cross
     # Parametrise each group of bonded residues as a fragment, or tie or convert its residues.
     chemist = LigandChemistry(draft)
-    special = _find_special(draft, chemist, where, bonds)
+    special = _find_special(draft, chemist, places, bonds)
     special_ids = {id(m) for m in special}
     unknown: list[tuple[Member, ProtochainError | ValueError]] = []
-    still: list[Member] = []
-    for members in _groups(draft, chemist, where, special, bonds):
+    fixed: list[Member] = []
+    for members in _groups(draft, chemist, places, special, bonds):
         links = [link for link in bonds if any(link.member is m for m in members)]
-        hetero = [m for m in members if where[id(m)].part.obstacle]
+        hetero = [m for m in members if places[id(m)].part.obstacle]
         try:
             if hetero and not chemist.chemistry.has_sage:
                 raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
-            fragment = FragmentBuilder(chemist, members, links, where, special_ids).build()
+            fragment = FragmentBuilder(chemist, members, links, places, special_ids).build()
             yield from _assign(draft, chemist, fragment, special_ids)
         except (ProtochainError, ValueError) as error:  # ValueError: rings that RDKit cannot kekulize.
             if requested := next((m for m in hetero if chemist.name(m) in chemist.chemistry.moving), None):
                 raise StructureError(f"{draft.source}: {requested}: ", *_parts(error)) from None
             for m in hetero:
-                if not (m.is_unknown and where[id(m)].part.mobile):
-                    where[id(m)].part.evidence = Evidence.ELEMENTS
+                if not (m.is_unknown and places[id(m)].part.mobile):
+                    places[id(m)].part.evidence = Evidence.ELEMENTS
                 if m.is_unknown:
                     yield Repair.of(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
-                    still.append(m)
-            unknown += [(m, error) for m in members if m.is_unknown and not m.parent and m not in still]
+                    fixed.append(m)
+            unknown += [(m, error) for m in members if m.is_unknown and not m.parent and m not in fixed]
             yield from _refuse_or_tie(draft, links, error)
             reason = Reason.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Reason.PARENT
             for m in (m for m in members if m.parent):
@@ -94,10 +94,10 @@ def assign_chemistry(draft: Draft) -> Changes:
         bonds = [link for link in bonds if link not in links]
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_message(draft, unknown))
-    if still:
+    if fixed:
         pieces = list[Part]()
         for part in draft.parts:
-            pieces += yield from cut_strand(part, [m for m in part.members if m in still])
+            pieces += yield from cut_strand(part, [m for m in part.members if m in fixed])
         draft.parts = pieces
     # Fragments include their bonds in the energy. Conversion to parents may have removed bonded atoms.
     resolved = {link for link in hetero_links if link not in bonds}
@@ -109,7 +109,7 @@ def assign_chemistry(draft: Draft) -> Changes:
 
 
 def _find_special(
-    draft: Draft, chemist: LigandChemistry, where: Mapping[int, Place], bonds: Sequence[Link]
+    draft: Draft, chemist: LigandChemistry, places: Mapping[int, Place], bonds: Sequence[Link]
 ) -> list[Member]:
     """Return residues without matching templates: modified ones, and ones with bonds not along a chain."""
     ends: dict[int, set[str]] = {}
@@ -118,38 +118,38 @@ def _find_special(
             is_amine = a.name == "N" and not _is_acyl(chemist, partner, partner_atom.name)
             ends.setdefault(id(m), set()).add("amine" if is_amine else a.name)
     for m in (m for m in draft.members if m.is_unknown):
-        after, graph = where[id(m)].after, _graph(chemist, m)
+        after, graph = places[id(m)].after, _graph(chemist, m)
         # A nitrogen bonded to a C with only single bonds is an amine.
         if after and graph and {graph.order("C", x) for x in graph.near("C")} == {1}:
             ends.setdefault(id(after), set()).add("amine")
     return [
         m for m in draft.members
-        if m.is_unknown or (id(m) in ends and not _keeps_template(where[id(m)], m, ends[id(m)]))
+        if m.is_unknown or (id(m) in ends and not _keeps_template(places[id(m)], m, ends[id(m)]))
     ]  # fmt: skip
 
 
 def _groups(
     draft: Draft,
     chemist: LigandChemistry,
-    where: Mapping[int, Place],
+    places: Mapping[int, Place],
     special: Sequence[Member],
     bonds: Sequence[Link],
 ) -> Iterator[list[Member]]:
     """Yield groups of residues without templates, bonded residues, and neighbours with changed terms."""
     if not special:
         return
-    number = {key: k for k, key in enumerate(where)}
+    number = {key: k for k, key in enumerate(places)}
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
-        _, _, before, after = where[id(m)]
-        wide: list[Member | None] = []
-        if where[id(m)].part.obstacle:
+        _, _, before, after = places[id(m)]
+        neighbours: list[Member | None] = []
+        if places[id(m)].part.obstacle:
             # In usual phosphodiester bonds no term includes changed atoms of both residues.
             is_usual = before and before.atom("O3'") and all(map(m.atom, ("P", "OP1", "OP2", "O5'")))
-            wide = [before] if before and before.is_unknown and not is_usual else []
+            neighbours = [before] if before and before.is_unknown and not is_usual else []
         elif (before or after) and (graph := _graph(chemist, m)) and not graph.backbone(""):
-            wide = [before, after]
-        pairs += [(number[id(m)], number[id(neighbour)]) for neighbour in wide if neighbour]
+            neighbours = [before, after]
+        pairs += [(number[id(m)], number[id(neighbour)]) for neighbour in neighbours if neighbour]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
     for g in dict.fromkeys(int(group[number[id(m)]]) for m in special):
         yield [m for m in draft.members if group[number[id(m)]] == g]
@@ -211,13 +211,13 @@ def _graph(chemist: LigandChemistry, member: Member) -> Graph | None:
     return graph
 
 
-def _stated_cross_links(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
+def _stated_cross_links(draft: Draft, places: Mapping[int, Place]) -> Iterator[Link]:
     """Yield bonds in the file between residues of chains, except along a chain and disulfides."""
     if not draft.stated_bonds:
         return
-    chains = [m for m in draft.members if not where[id(m)].part.obstacle]
+    chains = [m for m in draft.members if not places[id(m)].part.obstacle]
     atom_at = {m.address(a.name): (m, a) for m in chains for a in m.heavy}
-    seen = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
+    seen = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := places[id(m)].after)}
     for first, second in draft.stated_bonds:
         pair = frozenset((first, second))
         if pair in seen or not pair <= atom_at.keys():
@@ -229,17 +229,17 @@ def _stated_cross_links(draft: Draft, where: Mapping[int, Place]) -> Iterator[Li
             yield link
 
 
-def _amides(draft: Draft, where: Mapping[int, Place]) -> Iterator[Link]:
+def _amides(draft: Draft, places: Mapping[int, Place]) -> Iterator[Link]:
     """Yield bonds between amines and carboxyls without an oxygen, which the file does not list."""
-    chains = [m for m in draft.members if not where[id(m)].part.obstacle]
+    chains = [m for m in draft.members if not places[id(m)].part.obstacle]
     open_acids = [m for m in chains if m.name in _ACYLS and not all(map(m.atom, _ACYLS[m.name][1:]))]
     carbons = [(m, m.atom(_ACYLS[m.name][0])) for m in open_acids]
-    carbons += [(m, m.atom("C")) for m in chains if where[id(m)].after is None and not m.atom("OXT")]
+    carbons += [(m, m.atom("C")) for m in chains if places[id(m)].after is None and not m.atom("OXT")]
     acyls = [(m, a) for m, a in carbons if a]
     if not acyls:
         return
     nitrogens = [(m, m.atom(_AMINES[m.name])) for m in chains if m.name in _AMINES]
-    nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
+    nitrogens += [(m, m.atom("N")) for m in chains if places[id(m)].before is None]
     tree = KDTree([a.pos.tolist() for _, a in acyls])
     for m, a in ((m, a) for m, a in nitrogens if a):
         for k in sorted(tree.query_ball_point(a.pos.tolist(), _AMIDE)):
@@ -299,8 +299,8 @@ def _assign(draft: Draft, chemist: LigandChemistry, fragment: Fragment, ids: Col
     leavers = {(id(m), name) for atoms in fragment.bonds.values() for m, name in atoms}
     for m, template in pairs.values():
         present = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
-        if strange := (present ^ {*template.heavy}) - {"OXT", "OP3"}:
-            listing = ", ".join(sorted(strange))
+        if unmatched := (present ^ {*template.heavy}) - {"OXT", "OP3"}:
+            listing = ", ".join(sorted(unmatched))
             raise StructureError(f"{m}: {listing} missing or unknown", fault=Fault.INCOMPLETE)
     parts = {id(m): part for part in draft.parts for m in part.members}
     formal, inverted = fragment.ligand.molecule.formal_charges.tolist(), _find_inverted(fragment)
@@ -321,8 +321,8 @@ def _assign(draft: Draft, chemist: LigandChemistry, fragment: Fragment, ids: Col
             # A written file must contain this chemistry.
             draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.lookup(m)))
     for link, left in fragment.bonds.items():
-        back = [(m, x) for m, a, *_ in _both_ways(link) for x in _keep_hydrogens(chemist, m, a.name, left)]
-        atoms = [atom for atom in left if atom not in back]
+        stays = [(m, x) for m, a, *_ in _both_ways(link) for x in _keep_hydrogens(chemist, m, a.name, left)]
+        atoms = [atom for atom in left if atom not in stays]
         lost = [x for m in (link.member, link.hetero) for x in _remove(m, {n for o, n in atoms if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in atoms)
         yield Repair.of(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)

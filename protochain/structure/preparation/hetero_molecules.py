@@ -109,9 +109,9 @@ def choose_hetero(draft: Draft) -> Changes:
     if omitted:
         counts = tuple(Count(n, kind, reason or "") for (kind, reason), n in omitted.items())
         facts = {"counts": counts, "count": counts[0].n, "remedy": KEEP_ALL}
-        dry = any(count.kind != "waters" for count in counts)
-        left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
-        yield Repair(left, facts, tuple(lost))
+        has_others = any(count.kind != "waters" for count in counts)
+        repair_kind = Kind.LEFT_OUT if has_others else Kind.WATERS_LEFT_OUT
+        yield Repair(repair_kind, facts, tuple(lost))
 
 
 def require_chain(draft: Draft) -> tuple[()]:
@@ -190,15 +190,15 @@ def _near_protein(
     site = draft.members or nucleic
     site = [*site, *(r.member for r in candidates if r.raw_name in user_names)]
     protein = [a.pos.tolist() for member in site for a in member.heavy]
-    dry = [candidate for candidate in candidates if candidate.kind != "water"]
-    if not dry or not protein:
+    non_water = [candidate for candidate in candidates if candidate.kind != "water"]
+    if not non_water or not protein:
         return set()
-    ends = [(k, a) for k, candidate in enumerate(dry) for a in candidate.member.atoms]
+    ends = [(k, a) for k, candidate in enumerate(non_water) for a in candidate.member.atoms]
     owner, x = np.array([k for k, _ in ends]), np.array([a.pos.tolist() for _, a in ends])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
-    group = components(_bonded_pairs(draft, [r.member for r in dry], ends, owner, x), len(dry))
+    group = components(_bonded_pairs(draft, [r.member for r in non_water], ends, owner, x), len(non_water))
     touching = np.unique(group[owner[np.isfinite(distance)]])
-    return {id(candidate) for candidate, g in zip(dry, group, strict=True) if g in touching}
+    return {id(candidate) for candidate, g in zip(non_water, group, strict=True) if g in touching}
 
 
 def _bonded_pairs(
@@ -324,30 +324,30 @@ def _split(part: Part, ff: Mapping[str, Template], has_sage: bool) -> Generator[
     """Cut a strand at nucleotides without parameters, except modified ones, which are parametrised later."""
     if len(part.members) == 1:
         return [part]
-    strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(ff, i))]
-    for member in strange:
+    unmatched = [m for i, m in enumerate(part.members) if not _fits(m, part.template(ff, i))]
+    for member in unmatched:
         if has_sage and member.name not in residues.NUCLEOTIDES:
             member.source = Unknown()
-    return (yield from cut_strand(part, [member for member in strange if not member.is_unknown]))
+    return (yield from cut_strand(part, [member for member in unmatched if not member.is_unknown]))
 
 
-def cut_strand(part: Part, strange: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
+def cut_strand(part: Part, fixed: Sequence[Member]) -> Generator[Repair, None, list[Part]]:
     """Cut a strand at nucleotides without parameters, which become fixed, and report them."""
-    if not strange:
+    if not fixed:
         return [part]
     pieces: list[Part] = []
     for i, member in enumerate(part.members):
-        moves, before = member not in strange, part.members[i - 1]
-        if not i or moves == (before in strange):
+        moves, before = member not in fixed, part.members[i - 1]
+        if not i or moves == (before in fixed):
             pieces.append(Part(part.chain_id, [], Evidence.NUCLEOTIDES if moves else Evidence.ELEMENTS))
             if i:
                 # The strand continues next to the fixed nucleotide.
                 one, name = (member, "P") if moves else (before, "O3'")
                 one.links += [atom for atom in one.atoms if atom.name == name]
         pieces[-1].members.append(member)
-    for member in strange:
+    for member in fixed:
         member.source = template_by_element(member)
-    yield Repair.of(Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(m.residue for m in strange))
+    yield Repair.of(Kind.NUCLEOTIDES_STAY, count=len(fixed), residues=tuple(m.residue for m in fixed))
     return pieces
 
 

@@ -57,7 +57,7 @@ list of modifications (ptmlist), and for inhibitors CovPDB (Gao, Moumbock, Qasee
 Res. 50:D445, 2022)."""
 _AT_N, _AT_C = frozenset({"C"}), frozenset({"N"})
 """Elements that bond to the ends of a chain: acyl groups, amides."""
-_HYDROGENS_LEFT = {"ND2": 1, "NZ": 2, "N": 1}
+_MAX_HYDROGENS = {"ND2": 1, "NZ": 2, "N": 1}
 """Largest number of hydrogens of a protein atom with such a bond. Other atoms have none."""
 _MAX_NEIGHBOURS = {"C": 4, "N": 4, "O": 2, "P": 5, "S": 4, "Se": 4, "B": 4, "Si": 4}
 """Largest number of neighbours of a hetero atom. A protein atom can have one such bond."""
@@ -141,7 +141,7 @@ class _Neighbourhood:
             # Nucleotides have no template here, and their valences are complete.
             and pair.hetero.template is not None
             and self._is_known_link(pair, outer)
-            and sum(a.is_hydrogen() for a in inner) <= _HYDROGENS_LEFT.get(pair.atom.name, 0)
+            and sum(a.is_hydrogen() for a in inner) <= _MAX_HYDROGENS.get(pair.atom.name, 0)
             and (pair.atom.name != "SG" or len(inner) == 1)
             and len(pair.hetero.template.neighbours(pair.hetero_atom.name) - {a.name for a in outer}) == 0
             and _lacks_neighbour(pair.hetero_atom, outer)

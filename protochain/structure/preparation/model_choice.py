@@ -21,15 +21,15 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Omi
 
 MODELS = "models"
 """Name of the assembly of all models of a file."""
-_SAME = 0.02
+_COPY_RMSD = 0.02
 """Angstrom. Copies differ only by rounding in the file, models of an experiment by more."""
-_UPON, _EXCLUDED = 1.0, 2.0
+_OVERLAP, _ION_OVERLAP = 1.0, 2.0
 """Angstrom. Atoms closer than the first, or ions closer than the second, exclude each other."""
-_SHARED = 0.05
+_MAX_SHARED = 0.05
 """Largest fraction of overlapping atoms in copies."""
-_TOGETHER = 2.5
+_CONTACT = 2.5
 """Angstrom. Alternate locations closer than this belong to one state or exclude each other."""
-_WHOLE = "whole-"
+_NO_ALTLOC = "whole-"
 """Prefix of the letter of a molecule with partial occupancy but without altloc."""
 
 
@@ -84,10 +84,10 @@ def _are_copies(structure: gemmi.Structure) -> bool:
     tree = KDTree([position.tolist() for position in first])
     for names, model in zip(atom_ids[1:], models[1:], strict=True):
         places = [place.atom.pos for place in model]
-        if names != atom_ids[0] or gemmi.superpose_positions(first, places).rmsd > _SAME:
+        if names != atom_ids[0] or gemmi.superpose_positions(first, places).rmsd > _COPY_RMSD:
             return False
         distance, _ = tree.query([position.tolist() for position in places])
-        if np.mean(distance < _UPON) > _SHARED:
+        if np.mean(distance < _OVERLAP) > _MAX_SHARED:
             return False
     return True
 
@@ -202,11 +202,11 @@ def resolve_altlocs(places: Sequence[list[gemmi.Residue]], altloc: str) -> tuple
         return letters, discarded
     touching = [
         (atoms[i], atoms[j], length)
-        for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_TOGETHER)
+        for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_CONTACT)
         if atoms[i].place != atoms[j].place
         and (
-            (length := dist(atoms[i].x, atoms[j].x)) < _UPON
-            or not any(atoms[k].letter.startswith(_WHOLE) for k in (i, j))
+            (length := dist(atoms[i].x, atoms[j].x)) < _OVERLAP
+            or not any(atoms[k].letter.startswith(_NO_ALTLOC) for k in (i, j))
         )
     ]
     pairs = np.array([(a.place, b.place) for a, b, _ in touching], dtype=np.int64).reshape(-1, 2)
@@ -228,7 +228,7 @@ def resolve_altlocs(places: Sequence[list[gemmi.Residue]], altloc: str) -> tuple
             has, lacks = ((atom.place, letters[atom.place]) in present for atom in (first, second))
             if (
                 first.letter == letters[first.place] and has and not lacks
-                and length < (_EXCLUDED if len(places[second.place][0]) == 1 else _UPON)
+                and length < (_ION_OVERLAP if len(places[second.place][0]) == 1 else _OVERLAP)
                 and not places[second.place][0].get_ca()
             ):  # fmt: skip
                 discarded[second.place] = first.place
@@ -241,7 +241,7 @@ def _partial(place: int, group: list[gemmi.Residue]) -> Iterator[_Partial]:
     is_molecule = not any(atom.has_altloc() for atom in heavy) and not group[0].get_ca()
     for atom in heavy:
         if atom.has_altloc() or (is_molecule and 0.0 < atom.occ < 1.0):
-            letter = atom.altloc if atom.has_altloc() else f"{_WHOLE}{place}"
+            letter = atom.altloc if atom.has_altloc() else f"{_NO_ALTLOC}{place}"
             yield _Partial(place, letter, atom.occ, atom.pos.tolist())
 
 
