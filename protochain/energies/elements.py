@@ -84,6 +84,7 @@ def create_system(
     if unknown or linked_atoms or ligand_residues:
         force_field = reload()
     residues = list(topology.residues())
+    # Templates of residues that the force field does not match by itself.
     templates = {residues[r]: _element_template(force_field, structure, residues[r]) for r in unknown}
     for r, atoms in linked_atoms.items():
         has_sugar = any(structure.mobile[k] for atom in atoms for k in structure.neighbours[atom])

@@ -82,6 +82,7 @@ def _bisect(x: Floats, n_blocks: int) -> tuple[Integers, Integers]:
         else:
             me, chunk = -1, (first + last) // 2
             middle = chunk * n_blocks // CHUNKS
+        # Sort the atoms along the longest side of their box, then split it.
         atoms = order[begin * W : min(n, end * W)].copy()
         axis, widest = 0, -1.0
         for a in range(3):
@@ -153,6 +154,7 @@ def _pair_nodes(
                 for axis in range(3):
                     distance += (centre[a, axis] - centre[b, axis]) ** 2
                 distance = np.sqrt(distance)
+                # Far if angle and gap allow it, near if both are leaves. Otherwise open the larger node.
                 if reach <= opening * distance and distance - reach >= least_distance:
                     if n_far == len(far):
                         far = grow_rows(far, 2 * len(far))
@@ -211,6 +213,7 @@ def _screened_tiles(
         while listed < len(near) and near[listed, 0] == i:
             is_near[near[listed, 1]] = i
             listed += 1
+        # Descend from each root to leaves whose box is within reach of the block.
         for root in roots:
             n_pending, pending[0] = 1, root
             while n_pending:
