@@ -78,10 +78,10 @@ def devices() -> list[str]:
             try:
                 names = [dict(properties).get("DeviceName", "") for properties in gpu.getDevices()]
             except (AttributeError, openmm.OpenMMException) as error:  # Older versions, or no driver.
-                names = [f"its devices are not known ({_line(error)})"]
+                names = [f"its devices are not known ({_one_line(error)})"]
             lines.append(f"{device}: {', '.join(filter(None, [f'OpenMM {gpu.getOpenMMVersion()}', *names]))}")
         else:
-            reasons = (_line(text) for text in failures if platform.lower() in text.lower())
+            reasons = (_one_line(text) for text in failures if platform.lower() in text.lower())
             lines.append(f"{device}: none, {next(reasons, f'OpenMM has no platform {platform}')}")
     return lines
 
@@ -92,7 +92,7 @@ def _loaded_devices() -> set[str]:
     return {device for device, platform in PLATFORMS.items() if platform in names}
 
 
-def _line(error: object) -> str:
+def _one_line(error: object) -> str:
     return " ".join(str(error).split())
 
 
@@ -201,7 +201,7 @@ class DeviceEnergy(OpenMMEnergy):
             platform = openmm.Platform.getPlatform(self.platform)
             context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, self._properties)
         except openmm.OpenMMException as error:
-            raise DeviceError(_line(error)) from None
+            raise DeviceError(_one_line(error)) from None
         self._current = fixed, context
         return context
 
@@ -215,7 +215,7 @@ class DeviceEnergy(OpenMMEnergy):
 
     def _fall_back(self, error: Exception, x: Floats) -> None:
         """Switch to the processor from x (na, 3), nm, on, with a warning."""
-        self.failed, self._current = f"not by {self.platform}: {_line(error)}", None
+        self.failed, self._current = f"not by {self.platform}: {_one_line(error)}", None
         self.by_openmm.note = f"{self.by_openmm.note}; {self.failed}".removeprefix("; ")
         if self.accuracy is not None and isinstance(self.processor, NativeEnergy):
             self.processor = self.processor.to_accuracy(self.accuracy, x)

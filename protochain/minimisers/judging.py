@@ -59,7 +59,7 @@ class CachedEnergy:
             if first:
                 self.energy.list_at(x)
             return self(x)
-        choice = getattr(self.energy, "chosen_by", None)
+        choice = getattr(self.energy, "tree_measurement", None)
         if choice and self.judging is self.energy.exact and np.array_equal(choice[0], x):
             return choice[1]
         # The order of sums depends on the point only. It may take many seconds for a large protein.

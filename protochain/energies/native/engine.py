@@ -71,13 +71,13 @@ class NativeEnergy:
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.settings = by_openmm.settings
         self.threads = min(threads, MOST_THREADS)
-        self.chosen_by: tuple[Floats, tuple[float, Floats]] | None = None
+        self.tree_measurement: tuple[Floats, tuple[float, Floats]] | None = None
         """Positions at which a tree was measured, with energy and forces of all pairs one by one."""
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
         self._evaluation: Evaluation | None = None
-        self._one_at_a_time = Lock()
+        self._lock = Lock()
         self._full: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are omitted: layout of all terms, its lists, the reduced lists, and their positions."""
 
@@ -151,7 +151,7 @@ class NativeEnergy:
             for opening in openings(accuracy, terms.solvent is not None):
                 tree = self.by_tree(opening)
                 if tree.note_error(tree(x)[1], exact[1]) <= accuracy:
-                    tree.chosen_by = read_only(x), exact
+                    tree.tree_measurement = read_only(x), exact
                     return tree
         note = f"all pairs one by one: {cause}"
         self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")
@@ -185,7 +185,7 @@ class NativeEnergy:
         x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
-        with self._one_at_a_time:
+        with self._lock:
             return self._evaluation_at(x)(x)
 
     def born_radii(self, x: Floats) -> Floats:
@@ -194,7 +194,7 @@ class NativeEnergy:
         x = floats(x, (n, 3), "x", "nanometer")
         if self._layout.terms.solvent is None:
             return np.empty(0)
-        with self._one_at_a_time:
+        with self._lock:
             return self._with_born(x).reshape(-1, ROWS, W)[:, BORN].ravel()[:n].copy()
 
     def _with_born(self, x: Floats) -> Floats:
@@ -226,12 +226,12 @@ class NativeEnergy:
         """
         if self.opening is not None:
             copy = self.exact.without_constants(groups, x)
-            with self._one_at_a_time:
+            with self._lock:
                 near = len(self._evaluation_at(x).lists.tiles)
-            is_less = (
+            is_smaller = (
                 self.terms.solvent is None and len(copy._full[2].changing) <= near if copy._full else False
             )
-            return copy if is_less else self
+            return copy if is_smaller else self
         x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
         moving_terms, left_out = {}, {}
@@ -361,11 +361,11 @@ def _rebuild(
 
 def _in_one_group(groups: Integers, atoms: Integers) -> np.ndarray:
     """(n,) bool: whether all atoms of a term share a group."""
-    together = np.zeros(len(atoms), dtype=bool)
+    is_together = np.zeros(len(atoms), dtype=bool)
     if not atoms.size:
-        return together
+        return is_together
     for column in range(groups.shape[1]):
         group = groups[atoms[:, 0], column]
-        shared = (groups[atoms] == group[:, None, None]).any(axis=2).all(axis=1)
-        together |= shared & (group >= 0)
-    return together
+        shares_group = (groups[atoms] == group[:, None, None]).any(axis=2).all(axis=1)
+        is_together |= shares_group & (group >= 0)
+    return is_together

@@ -46,7 +46,7 @@ class Workspace:
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
-        self.of: Evaluation | None = None
+        self.owner: Evaluation | None = None
         """Evaluation whose sums are stored, None during a computation."""
 
 
@@ -80,7 +80,7 @@ class Evaluation:
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
-        w.of = None
+        w.owner = None
         if self.order is None:
             np.copyto(w.x, x)
         else:
@@ -101,7 +101,7 @@ class Evaluation:
             n_tasks, led, waited = self._counters[[tasks.ALL, tasks.LED, tasks.WAITED]].tolist()
             worked = min(elapsed - TICK * waited, thread_time() - cpu_start)
             w.worth.note(monotonic(), elapsed, worked, led / n_tasks)
-        w.of = self
+        w.owner = self
         forces = w.forces.copy()
         if self.order is not None:
             forces[self.order] = w.forces
@@ -120,7 +120,7 @@ class Evaluation:
     def was_at(self, x: Floats) -> bool:
         """Whether the workspace has the results of this evaluation at x (na, 3)."""
         at = self.workspace.x
-        return self.workspace.of is self and np.array_equal(at, x if self.order is None else x[self.order])
+        return self.workspace.owner is self and np.array_equal(at, x if self.order is None else x[self.order])
 
     def _call_helpers(self, helper_pool: Helpers) -> None:
         with self._state:
@@ -157,23 +157,23 @@ def arguments(
 ) -> tuple[Any, ...]:
     """Return the arguments of :func:`tasks.work` after its counters, by subject, None for absent parts."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
-    writes = written_blocks(layout, lists)
-    of_tree = None
+    is_written = written_blocks(layout, lists)
+    tree_part = None
     if far is not None:
-        mark_written(writes, far.screened[0])
+        mark_written(is_written, far.screened[0])
         settings = tuple(_views(*s) if isinstance(s, tuple) else _views(s)[0] for s in far.arguments())
-        of_tree = far.room(), _views(*far.geometry()), settings, _views(*far.screened)
-    state = w.x, w.atoms, w.sums, *_views(writes), w.parts, w.forces
+        tree_part = far.work_arrays(), _views(*far.geometry()), settings, _views(*far.screened)
+    state = w.x, w.atoms, w.sums, *_views(is_written), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_views(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
     kinds = _views(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
     bonded = (_views(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
     exceptions = _views(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
     maps = terms.bonded["maps"]
-    of_maps = _views(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
-    listed = kinds, *_views(lists.free), exceptions, *bonded, of_maps
+    map_terms = _views(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
+    listed = kinds, *_views(lists.free), exceptions, *bonded, map_terms
     if solvent is None:
-        return state, vacuum, listed, None, None, of_tree
+        return state, vacuum, listed, None, None, tree_part
     per_atom = (
         *_views(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_views(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -181,9 +181,9 @@ def arguments(
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = per_atom, _views(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, listed, born, None, of_tree
+        return state, vacuum, listed, born, None, tree_part
     necks = *_views(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.neck_reach
-    return state, vacuum, listed, born, necks, of_tree
+    return state, vacuum, listed, born, necks, tree_part
 
 
 def _views(*arrays: Any) -> tuple[Any, ...]:

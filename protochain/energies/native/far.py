@@ -129,7 +129,7 @@ class Far:
         leaves = leaves[np.argsort(tree.nodes[leaves, FIRST])]
         return leaves, tree.nodes, tree.roots, tree.centre, tree.start, tree.source
 
-    def room(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def work_arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Charges, and arrays for moments, fields, and forces of the fields."""
         n, kinds, terms = len(self.tree.nodes), self.charges.shape[1], n_terms(self.opening.order)
         # As many fields as kinds of charge: two for the first kind of integrals, one for both.

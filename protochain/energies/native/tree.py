@@ -236,7 +236,7 @@ def _screened_tiles(
                     continue
                 if count == len(tiles):
                     tiles, rows = grow_rows(tiles, 2 * count), grow_rows(rows, 2 * count)
-                any_row = False
+                has_rows = False
                 for k in range(W):
                     rows[count, k] = False
                     atom = i * W + k
@@ -247,8 +247,8 @@ def _screened_tiles(
                         gap = max(low[b, axis] - x[atom, axis], x[atom, axis] - high[b, axis]) - SKIN
                         gap2 += max(gap, 0.0) ** 2
                     rows[count, k] = gap2 < reach * born[atom] * born_max[b]
-                    any_row |= rows[count, k]
-                if any_row:
+                    has_rows |= rows[count, k]
+                if has_rows:
                     tiles[count, 0], tiles[count, 1] = i, j
                     count += 1
     return tiles[:count].copy(), rows[:count].copy()
