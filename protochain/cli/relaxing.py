@@ -11,7 +11,7 @@ import numpy as np
 from protochain.cli.lines import Kind, energy_text, is_verbose, residues_shown, table_of_two, tell
 from protochain.cli.options import describe_move, print_changes, print_files, print_lost, print_violations
 from protochain.core import defaults
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.core.timings import part
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
     inverted = plural(len(at.inversions), "inverted stereocentre")
     as_d = structure.mirrored[structure.atom_residue[at.inversions]].all()
     advice = "" if as_d else " (name D-amino acids as DAL ...)"
-    rings = ["threaded rings, to be freed first: " + shorten([*map(str, at.rings)], 2)] if at.rings else []
+    rings = ["threaded rings, to be freed first: " + abridge([*map(str, at.rings)], 2)] if at.rings else []
     inverted_line = [f"{inverted}, to be corrected{advice}"] if len(at.inversions) else []
     twisted = plural(len(at.peptides), "twisted peptide bond")
     duration = f"about {max(seconds, 1.0):.0f} s"
@@ -115,7 +115,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         f"{m['displacement_max_angstrom']:.2f} angstrom"
         for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
     ]
-    lines = [summary, *([f"ligands: {shorten(motion, _LIGANDS)}"] if motion else [])]
+    lines = [summary, *([f"ligands: {abridge(motion, _LIGANDS)}"] if motion else [])]
     details = []
     if record["repacked"]:
         repacked = summarise(result.turned) or ("no side chain improves",)

@@ -14,7 +14,7 @@ def excerpt(text: str) -> str:
     return text if len(text) <= 100 else f"{text[:100]}..."
 
 
-def shorten(places: Sequence[str], shown: int = 6) -> str:
+def abridge(places: Sequence[str], shown: int = 6) -> str:
     """The first of some places, and how many more there are."""
     remainder = f" and {len(places) - shown} more" if len(places) > shown else ""
     return ", ".join(places[:shown]) + remainder

@@ -22,7 +22,7 @@ from protochain.core.arrays import Floats, Watcher, finite
 from protochain.core.checks import WATCHER, check_arguments, optional, path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.core.settings import document_settings, settings_from
 from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
@@ -308,7 +308,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     end = place_atoms(run.chain, state.at.factors.frames)
     inverted = changed_stereocentres(structure, end, structure.positions)
     if inverted and ending is not Ending.UNSTABLE:
-        ending, reason = Ending.UNSTABLE, f"{shorten(inverted)} inverted"
+        ending, reason = Ending.UNSTABLE, f"{abridge(inverted)} inverted"
     # Final checkpoint, result and summary.
     if folder:
         folder.store(state, run.varying.lists_at)

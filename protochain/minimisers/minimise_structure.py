@@ -23,7 +23,7 @@ from protochain.core.arrays import Floats, Watcher, floats, read_only
 from protochain.core.checks import WATCHER, check_arguments
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.core.settings import document_settings, settings_from
 from protochain.core.timings import measure_run, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
@@ -280,7 +280,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
     problems = [*describe_rejections(structure, at.x), *describe_violations(restraint_values)]
     status, ended = verdict(stop, met, residuals, structure, at.x, outcome.n_evaluations, problems=problems)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
-        ended = f"{ended}; peptide bonds that became twisted: {shorten(twisted)}"
+        ended = f"{ended}; peptide bonds that became twisted: {abridge(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)
     # Built on first access, without a reference to the watcher.
     trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)

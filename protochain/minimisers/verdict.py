@@ -10,7 +10,7 @@ from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
@@ -105,7 +105,7 @@ def verdict(
     # x (na, 3) nm.
     problems = describe_rejections(structure, x) if problems is None else problems
     if bonds := _changed_metal_bonds(structure, x):
-        measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {shorten(bonds, 3)}"
+        measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {abridge(bonds, 3)}"
     status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
     if problems and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*problems, measured])}"
@@ -138,16 +138,16 @@ def describe_rejections(structure: Structure, x: Floats) -> list[str]:
         for chain in mirror_images(structure.with_positions(x))
     ]
     inverted = atom_names(structure, inverted_stereocentres(structure, x))
-    problems += [f"inverted stereocentres: {shorten(inverted)}"] if inverted else []
+    problems += [f"inverted stereocentres: {abridge(inverted)}"] if inverted else []
     bonds = describe_double_bonds(structure, inverted_double_bonds(structure, x))
-    problems += [f"double bonds with the other E/Z: {shorten(bonds)}"] if bonds else []
+    problems += [f"double bonds with the other E/Z: {abridge(bonds)}"] if bonds else []
     n_fixed, n = count_fixed(structure)
     problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
     # Torsions change no bond length: such a run would end converged.
     wrong_pairs = wrong_bonds(structure, x)
     wrong_pairs = wrong_pairs[~structure.kept[wrong_pairs].all(axis=1)]
     if len(wrong_pairs):
-        lines = shorten(bond_lines(structure, x, wrong_pairs), 3)
+        lines = abridge(bond_lines(structure, x, wrong_pairs), 3)
         problems.append(f"{plural(len(wrong_pairs), 'bond')} of a wrong length: {lines}; {_REMEDY}")
     faults = fixed_faults(structure, x).summary(structure, x)
     return [*problems, faults] if faults else problems
@@ -173,9 +173,9 @@ def _force_status(
         isomerised = isomerised_bonds(structure, x, structure.positions)
     changes: dict[Status, str] = {}
     if inverted:
-        changes[Status.INVERTED] = f"{shorten(inverted)} inverted; {remedy}"
+        changes[Status.INVERTED] = f"{abridge(inverted)} inverted; {remedy}"
     if isomerised:
-        bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {shorten(isomerised, 3)}"
+        bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {abridge(isomerised, 3)}"
         changes[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
     if changes:
         status = next(iter(changes))

@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, check_arguments
 from protochain.core.interrupts import held_interrupts
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.core.timings import measure_run, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import prepare_energy
@@ -230,7 +230,7 @@ def _verdict(
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {energy.judge}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
-    measured += f"; fixed, not relaxed: {shorten(fixed)}" if fixed else ""
+    measured += f"; fixed, not relaxed: {abridge(fixed)}" if fixed else ""
     problems = end.problems
     broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
@@ -262,13 +262,13 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 def describe_problems(problems: Problems) -> list[str]:
     """Names of the remaining problems."""
     lines = describe_rejections(problems.structure, problems.x)
-    lines += [shorten([*map(str, problems.rings)], 2)] if problems.rings else []
+    lines += [abridge([*map(str, problems.rings)], 2)] if problems.rings else []
     twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
-    lines += [f"twisted peptide bonds: {shorten(twisted, _NAMED)}"] if twisted else []
+    lines += [f"twisted peptide bonds: {abridge(twisted, _NAMED)}"] if twisted else []
     # Breaks of the chain are not errors of the model, which may be cropped, with continuous numbers.
     residues = np.flatnonzero(problems.mendable()).tolist()
     if not residues:
         return lines
-    names = shorten([problems.structure.describe_residue(residue) for residue in residues], _NAMED)
+    names = abridge([problems.structure.describe_residue(residue) for residue in residues], _NAMED)
     left = f"{plural(len(residues), 'residue is', 'residues are')} left with violations"
     return [*lines, f"{left}: {names}"]

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from protochain.core import defaults
 from protochain.core.arrays import Integers
 from protochain.core.errors import Argument, StructureError
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.structure.convert import as_structure, to_mdanalysis
 from protochain.structure.molecule.model import Structure
 
@@ -173,7 +173,7 @@ def _side(structure: Structure, text: str) -> _Side:
     except StructureError:
         raise StructureError(
             f"{structure.name}: side {text!r} of an interface is no chain, nor a selection with atoms; "
-            f"its chains are {shorten([name or '(blank)' for name in dict.fromkeys(chains.tolist())])}"
+            f"its chains are {abridge([name or '(blank)' for name in dict.fromkeys(chains.tolist())])}"
         ) from None
     return _Side(mask & ~is_water(structure), selected=True)
 

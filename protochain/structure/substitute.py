@@ -9,7 +9,7 @@ import numpy as np
 
 from protochain.core import defaults
 from protochain.core.errors import StructureError, refusal
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.structure.formats.files import number_atoms
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
@@ -115,7 +115,7 @@ def _thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
     if not {name for name, _ in texts} <= {*chains}:
         if len(texts) != len(chains):
             raise StructureError(
-                f"{structure.name}: sequence: {len(texts)} given, of {shorten([n or '-' for n, _ in texts])}"
+                f"{structure.name}: sequence: {len(texts)} given, of {abridge([n or '-' for n, _ in texts])}"
                 f"; its chains are {', '.join(chains)}: give one for each, or name them so"
             )
         texts = [(chain, letters) for chain, (_, letters) in zip(chains, texts, strict=True)]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from protochain.core.checks import flag
 from protochain.core.checks import path as as_path
 from protochain.core.errors import ProtochainError, StructureError
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary, of_residue
@@ -160,7 +160,7 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
         pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
         # Label ids with an x are from gemmi, if the file has none.
         changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and old[:-1] != f"{new}x"]
-        return [f"{path}: label ids that differ from the file's: {shorten(changed, 6)}"] if changed else []
+        return [f"{path}: label ids that differ from the file's: {abridge(changed, 6)}"] if changed else []
     for field, values, width in (
         ("chain id", structure.residue_chain, 1),
         ("residue number", structure.residue_number, 4),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.chirality import atom_names, wrong_centres
@@ -304,4 +304,4 @@ def describe_remains(record: Mapping[str, Any], shown: int = 6) -> list[str]:
     """Describe faults in a record beyond its message: a line for each of ``REMAINS`` with places."""
     in_message = () if record.get("status") == "clash" else _JUDGED
     places = {key: record.get(key) for key in REMAINS if key not in in_message}
-    return [f"{REMAINS[key].what}: {shorten(at, shown)} ({len(at)})" for key, at in places.items() if at]
+    return [f"{REMAINS[key].what}: {abridge(at, shown)} ({len(at)})" for key, at in places.items() if at]

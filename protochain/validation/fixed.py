@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from protochain.chains.contacts import radii
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, pairs_within
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
@@ -48,7 +48,7 @@ class FixedFaults(NamedTuple):
         ]
         if not counts:
             return ""
-        return f"{' and '.join(counts)} outside the protein: {shorten(self.lines(structure, x))}"
+        return f"{' and '.join(counts)} outside the protein: {abridge(self.lines(structure, x))}"
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:

@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.core.arrays import dihedral
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import (
     centres,
@@ -490,8 +490,8 @@ def test_wrong_hands_are_those_that_a_name_does_not_say():
     assert [str(atom) for atom in inverted_atoms([left, right, d_left, d_right, glycine])] == [
         "CA of A:ALA2", "CA of A:DAL3",
     ]  # fmt: skip
-    assert shorten([]) == "" and shorten(list("abcdef")) == "a, b, c, d, e, f"
-    assert shorten(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+    assert abridge([]) == "" and abridge(list("abcdef")) == "a, b, c, d, e, f"
+    assert abridge(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
 
 
 def test_changed_hands_are_found_atom_by_atom():

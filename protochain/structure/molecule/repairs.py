@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from protochain.core import defaults
 from protochain.core.arrays import Value
 from protochain.core.errors import Angle, Argument, ProtochainError
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.structure.molecule.residues import Atom
 
 _SHOWN = 8
@@ -394,7 +394,7 @@ class _Form(Formatter):
             return value.render(self.render)
         if isinstance(value, tuple):
             texts = [str(item) for item in value]
-            return " and ".join(texts) if spec == "and" else shorten(texts, int(spec or len(texts)))
+            return " and ".join(texts) if spec == "and" else abridge(texts, int(spec or len(texts)))
         if spec.startswith("n "):
             return plural(value, spec[2:])
         return str(super().format_field(value, spec))
@@ -443,7 +443,7 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
     removed += [f"{count.n} {count.kind}" for count in molecules]
     removed += [f"altlocs of {plural(len(log[Kind.ALTERNATES]), 'residue')}"] if log[Kind.ALTERNATES] else []
     parts = (added, "added"), (included, "kept"), (removed, "removed")
-    return "; ".join(f"{shorten(names, _SHOWN)} {verb}" for names, verb in parts if names)
+    return "; ".join(f"{abridge(names, _SHOWN)} {verb}" for names, verb in parts if names)
 
 
 def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
@@ -462,7 +462,7 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
         his: dict[str, list[str]] = defaultdict(list)
         for item in alike:
             his[item.facts["state"]].append(item.facts["residue"].place)
-        return "HIS states: " + "; ".join(f"{state} {shorten(his[state], _SHOWN)}" for state in sorted(his))
+        return "HIS states: " + "; ".join(f"{state} {abridge(his[state], _SHOWN)}" for state in sorted(his))
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
         return alike[0].sentence(render)
     if rank is Rank.GAP:
@@ -471,11 +471,11 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
             for gap in (repair.facts for repair in alike)
         ]
         return (
-            f"split at {len(gaps)} gaps in the chains, with charged termini: {shorten(gaps, _SHOWN)}; "
+            f"split at {len(gaps)} gaps in the chains, with charged termini: {abridge(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"
         )
     places = [str(repair.facts["residue"]) for repair in alike]
-    return f"{change} in {len(places)} residues: {shorten(places, _SHOWN)}"
+    return f"{change} in {len(places)} residues: {abridge(places, _SHOWN)}"
 
 
 _HISTIDINES = ("HID", "HIE", "HIP")

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, Fault, ProtochainError, StructureError
 from protochain.core.graph import components
-from protochain.core.markup import shorten
+from protochain.core.markup import abridge
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import tables
 from protochain.ligands.matching import inverted_atoms
@@ -276,7 +276,7 @@ def _unknown_message(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) 
     it = "it" if len(unknown) == 1 else "them"
     option = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
     return (
-        f"{shorten([str(member) for member, _ in unknown])} {stated} without a standard parent (",
+        f"{abridge([str(member) for member, _ in unknown])} {stated} without a standard parent (",
         *_parts(unknown[0][1]),
         f"); replace or remove {it}, or give a force field that defines {it}",
         *option,

@@ -14,7 +14,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
-from protochain.core.markup import plural, shorten
+from protochain.core.markup import abridge, plural
 from protochain.structure.formats.ions import charge_cluster, has_known_charge
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link, is_metal
@@ -129,7 +129,7 @@ def _no_chain_message(candidates: Iterable[HeteroResidue]) -> tuple[object, ...]
         plural(n, "water") if kind == "waters" else f"{plural(n, 'residue')} {kind}"
         for kind, n in kinds.items()
     ]
-    listing = shorten(counts, 8)
+    listing = abridge(counts, 8)
     text = f"no protein found{listing and f', only {listing}'}; "
     if any(residue.kind == "nucleic" for residue in candidates):
         return text, "keep them by ", KEEP_ALL
