@@ -58,14 +58,14 @@ def test_what_makes_no_sense_is_refused_before_the_work(here):
     (here / "in").mkdir()
     shutil.copy(STRUCTURES / "1l2y.pdb", here / "in" / "a.pdb")
     for arguments, said in (
-        (("in/a.pdb", "--resume"), "in/a.pdb is one file"),
+        (("in/a.pdb", "--resume"), "requires several inputs, not in/a.pdb"),
         (("in/a.pdb", "-o", "in/a.pdb"), "is the input"),
         (("in/a.pdb", "-o", "-", "--json"), "both go to standard output"),
         (("in/a.pdb", "--report", "page.txt"), "ends in .html"),
         (("in/a.pdb", "--preset", "weak"), "choose from predicted, crystal, design"),
         (("in/a.pdb", "--protocol", "alphafold", "--solvent", "gbn2"), "protocol alphafold is vacuum"),
         (("in", "--report", "page.html"), "have report.html in their folder"),
-        (("in", "-o", "out.pdb"), "give the name of a folder"),
+        (("in", "-o", "out.pdb"), "require an output folder"),
         (("none.pdb",), "none.pdb: not found"),
         (("in/*.cif",), "matches no file"),
     ):

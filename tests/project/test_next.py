@@ -69,11 +69,11 @@ def test_a_command_takes_a_list_of_frames(tmp_path, monkeypatch):
 def test_models_that_overlap_are_to_be_relaxed_first(tmp_path, capsys):
     s = load("3i40.pdb")
     x, of_b = np.array(s.positions), s.residue_chain[s.atom_residue] == "B"
-    assert run("score", STRUCTURES / "3i40.pdb") == 0 and "relax first" not in capsys.readouterr().err
+    assert run("score", STRUCTURES / "3i40.pdb") == 0 and "Relax first" not in capsys.readouterr().err
     x[of_b] += 0.5 * (x[~of_b].mean(axis=0) - x[of_b].mean(axis=0))
     pc.save(s.with_positions(x), tmp_path / "crowd.pdb")
     assert run("score", tmp_path / "crowd.pdb") == 3
-    assert "relax first, with --relax" in capsys.readouterr().err
+    assert "Relax first, with --relax" in capsys.readouterr().err
 
 
 def test_an_energy_of_ase_is_one_of_ours():
