@@ -35,7 +35,7 @@ def test_a_simulation_has_its_frames(simulated, tmp_path):
     c = chain("ala10.pdb")
     e = pc.energy(c.structure, solvent="vacuum", threads=1)
     written = pc.simulate(c, e, n_steps=30, every=10, seed=1, output=tmp_path / "run")
-    assert written.kept == () and np.allclose(written.frames, m.frames, atol=1e-5)
+    assert written.stored_frames == () and np.allclose(written.frames, m.frames, atol=1e-5)
 
 
 @pytest.mark.parametrize(
