@@ -31,6 +31,7 @@ from protochain.energies import energy
 from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, Recipe, Run, Solution, Status
 from protochain.minimisers.annealing import Annealing, AnnealingState
+from protochain.minimisers.entropy_bound import EntropyBound, MetricName
 from protochain.minimisers.kcm import Proportional
 from protochain.minimisers.loop import Ending, Snapshot, Stop, run
 from protochain.minimisers.minimise_structure import Minimisation, minimise_from
@@ -99,6 +100,10 @@ of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia
 stays, and dynamics leads to no minimum."""
 
 
+METRICS: tuple[MetricName, ...] = ("positions", "mass")
+BOUNDS = (0.1, 0.03, 0.01)
+"""nm/rad: bounds of ``kcm-0.005`` in these metrics. In ``positions`` its own steps have 0.03 to 0.4."""
+
 BODIES: Mapping[str, Callable[[int], int]] = {
     "first": lambda n: 1, "middle": lambda n: n // 2, "last": lambda n: n - 1,
 }  # fmt: skip
@@ -129,6 +134,13 @@ def _dynamics(friction: float) -> Recipe:
     return Recipe(f"md-{friction:g}", (Run(annealing),))
 
 
+def _bounded(metric: MetricName, bound: float) -> Recipe:
+    (run,) = at_angle(RECIPES["kcm"], 0.005).runs
+    method: Any = run.method
+    bounded = replace(method, direction=EntropyBound(rate=bound, within=metric))
+    return Recipe(f"entropy-{metric}-{bound:g}", (replace(run, method=bounded),))
+
+
 def halved(recipe: Recipe) -> Recipe:
     """Recipe with half the time step, compliance, or angle, where that adapts the first one."""
     (run,) = recipe.runs
@@ -148,6 +160,8 @@ def _trials() -> dict[str, Trial]:
         f"kcm-{name}": Trial(RECIPES[f"kcm-{name}"])
         for name in ("proportional", "sign", "adaptive", "stiffness", "metric")
     }
+    bounded = [_bounded(metric, bound) for metric, bound in product(METRICS, BOUNDS)]
+    found |= {recipe.name: Trial(recipe) for recipe in bounded}
     found |= {f"md-{friction:g}": Trial(_dynamics(friction)) for friction in TIME_STEPS}
     found |= {f"{name}-fixed": replace(found[name], root="fixed") for name in OF_BODIES}
     found |= {
@@ -359,7 +373,7 @@ def _continued(start: Start, case: Case, method: str, most: int) -> Found:
         seconds += perf_counter() - since
         at = ending.last.state.at
         polished = polish(start, at.q)
-        left = at.energy + _kinetic(chain, ending.last.state) - polished.end.energy
+        left = at.energy + kinetic_energy(chain, ending.last.state) - polished.end.energy
         stays = ending.stop is not Stop.BUDGET or (before is not None and one_minimum(before, polished))
         finished = left <= LEFT and stays
         circles = not isinstance(ending.last.state, AnnealingState) and _circles(trace, n)
@@ -377,7 +391,7 @@ def _circles(trace: list[tuple[int, float]], n: int) -> bool:
     return n > 2 * FIRST and half - trace[-1][1] < 0.01 * LEFT
 
 
-def _kinetic(chain: Chain, state: Any) -> float:
+def kinetic_energy(chain: Chain, state: Any) -> float:
     """Kinetic energy of a state, kJ/mol."""
     if not isinstance(state, AnnealingState):
         return 0.0
