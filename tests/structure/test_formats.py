@@ -145,9 +145,9 @@ def test_an_assembly_is_its_operators_applied(tmp_path):
 def test_marks_of_a_binary_column_are_those_of_text():
     pdbx = pytest.importorskip("biotite.structure.io.pdbx")
     column = pdbx.BinaryCIFColumn(np.array(["a", "", ""]), np.array([0, 1, 2], dtype=np.uint8))
-    assert foreign._texts(column) == ["a", False, None]
+    assert foreign._values(column) == ["a", False, None]
     block = gemmi.cif.Document().add_new_block("x")
-    block.set_mmcif_category("_y.", {"z": foreign._texts(column)})
+    block.set_mmcif_category("_y.", {"z": foreign._values(column)})
     assert [*block.find_values("_y.z")] == ["a", ".", "?"]
 
 

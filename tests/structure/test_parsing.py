@@ -154,7 +154,7 @@ def test_letters_beyond_ascii_are_refused_in_the_used_columns_of_atoms_only(reco
 
 def corrected(*lines):
     overlooked = []
-    text, _ = files._corrected("\n".join(lines), "x", overlooked)
+    text, _ = files._correct_pdb("\n".join(lines), "x", overlooked)
     return text.split("\n"), [(repair.kind, *repair.facts.values()) for repair in overlooked]
 
 
