@@ -248,10 +248,12 @@ class Kind(Enum):
         "{residue}: called {name} in the file, without a disulfide bond: read as {residue.name}"
     )
     RING_TURNED = Words(
-        "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
+        "{residue}: ring turned by 180 degrees, by its hydrogen bonds and contacts",
+        "rings turned by 180 degrees",
     )
     AMIDE_TURNED = Words(
-        "{residue}: amide turned by 180 degrees, by its hydrogen bonds", "amides turned by 180 degrees"
+        "{residue}: amide turned by 180 degrees, by its hydrogen bonds and contacts",
+        "amides turned by 180 degrees",
     )
     STATE_CHOSEN = Words("{residue} modelled as {state}")
     IMIDAZOLATE = Words("{residue} modelled as imidazolate: it bridges two metals")
