@@ -1,10 +1,10 @@
 """Map chains of a model to chains of a reference if several have the same sequence.
 
-Names of such chains are arbitrary, as of haemoglobin's two of each kind. As in AlphaFold-Multimer (Evans et
-al., bioRxiv 2021.10.04.463034) the structures are superposed on one pair of chains, and the other chains are
-paired by position. Here linear assignment pairs them, for each start, and again after superposition on all
-pairs, as in iterative closest points (Besl, McKay, IEEE T-PAMI 14:239, 1992). The number of superpositions
-grows with the square of the number of chains, not with its factorial.
+Names of such chains are arbitrary, as of the two alpha chains of haemoglobin. As in AlphaFold-Multimer (Evans
+et al., bioRxiv 2021.10.04.463034) the structures are superposed on one pair of chains, and the other chains
+are paired by position. Here linear assignment pairs them. It is repeated after superposition on all pairs, as
+in iterative closest points (Besl, McKay, IEEE T-PAMI 14:239, 1992). The number of superpositions grows with
+the square of the number of chains, not with its factorial.
 """
 
 from collections.abc import Iterator

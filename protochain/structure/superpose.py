@@ -18,7 +18,7 @@ def superpose(x: Floats, reference: Floats) -> Floats:
 
 
 def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) that superpose points onto a reference, or no motion of none."""
+    """Rotation (3, 3) and translation (3,) that superpose points onto a reference, trivial without points."""
     if not len(x):
         return np.eye(3), np.zeros(3)
     centre, own_centre = reference.mean(axis=0), x.mean(axis=0)

@@ -247,7 +247,7 @@ def _in_strands(structure: Structure) -> set[int]:
 
 
 def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
-    """Label ids of each residue, and renamed ids. By default parts of a broken chain have their own."""
+    """Label ids of each residue, and renamed ids. Without ids in the file, parts of chains have their own."""
     filed = structure.residue_label or (NO_LABEL,) * structure.n_residues
     hetero = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]

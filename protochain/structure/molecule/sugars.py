@@ -70,7 +70,7 @@ _SUBSTITUTED = {
 
 
 def glycam_code(letters: str, substituted: Iterable[str]) -> str:
-    """Code of a sugar whose oxygens of these names, as ``O4``, bear other sugars."""
+    """Code of a sugar with these substituted oxygens, as ``O4``."""
     where = "".join(sorted(name[1:] for name in substituted))
     return _SUBSTITUTED.get(where, where) + letters
 
@@ -81,7 +81,7 @@ def other_anomer(letters: str) -> str:
 
 
 GLYCOSYLATED = {"ASN": "NLN", "SER": "OLS", "THR": "OLT"}
-"""Residues of the protein that may bear sugars, and GLYCAM's residues that do."""
+"""Residues of the protein that may bear sugars, and their GLYCAM names with sugars."""
 
 _AMIDES = {"C7": "C2N", "O7": "O2N", "C8": "CME"}, {"C10": "C5N", "O10": "O5N", "C11": "CME", "O11": "OHG"}
 

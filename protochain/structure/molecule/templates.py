@@ -165,7 +165,7 @@ def strand_junctions(*files: str) -> bytes:
     """Return the terms of bonds between DNA and RNA as OpenMM XML, from the files of both.
 
     Both have AMBER's atom types, with prefixes. A term with O3'-P is repeated with one side in the types of
-    the other kind, as in LEaP, whose types of OL3 and OL15 are of one set.
+    the other kind. In LEaP, the types of OL3 and OL15 are of one set.
     """
     root = ElementTree.Element("ForceField")
     for file in files:
@@ -285,7 +285,7 @@ def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
 
 
 _WATERS = ("SPCE", "TP3M", "TIP5", "OPC")
-"""Names of programs that OpenMM's table lacks."""
+"""Names of water in other programs, missing from OpenMM's table."""
 
 
 @cache
@@ -319,10 +319,10 @@ def name_by_atoms(
 
     ``stated`` are components with bonds in the file. The atoms of another residue do not rename them.
 
-    Names have several meanings: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the
-    PDB archive, ``HSE`` histidine in CHARMM, and homoserine, ``HIP`` histidine in Amber, and its phosphate,
-    ``NHE`` a cap, and a buffer, ``CYN`` cysteine, and cyanide, ``DCY`` deoxycytidine in OpenMM's table, and
-    D-cysteine.
+    Names have several meanings. ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the
+    PDB archive. ``HSE`` is histidine in CHARMM, and homoserine. ``HIP`` is histidine in Amber, and its
+    phosphate. ``NHE`` is a cap, and a buffer. ``CYN`` is cysteine, and cyanide. ``DCY`` is deoxycytidine in
+    OpenMM's table, and D-cysteine.
     """
     name, state = standard_name(code)
     if name == code and name in (*STANDARD, *CAPS, "HOH"):
