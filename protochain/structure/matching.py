@@ -26,8 +26,7 @@ pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps
 _ONE_FOLD = 0.5
 """Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
 _EXCHANGEABLE = 0.95
-"""Least identity of exchangeable chains, relative to the most similar chain. OpenStructure regards chains as
-equal from an identity of 0.95 on."""
+"""Least identity of exchangeable chains relative to the most similar one. OpenStructure uses 0.95, too."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,17 +21,17 @@ def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) that superpose points onto a reference, trivial without points."""
     if not len(x):
         return np.eye(3), np.zeros(3)
-    centre, own_centre = reference.mean(axis=0), x.mean(axis=0)
-    return motion_of((reference - centre).T @ (x - own_centre), own_centre, centre)
+    centre, x_centre = reference.mean(axis=0), x.mean(axis=0)
+    return motion_of((reference - centre).T @ (x - x_centre), x_centre, centre)
 
 
-def motion_of(covariance: Floats, own_centre: Floats, centre: Floats) -> tuple[Floats, Floats]:
+def motion_of(covariance: Floats, x_centre: Floats, centre: Floats) -> tuple[Floats, Floats]:
     """Rotation and translation, by Kabsch, from the sum (3, 3) of reference times points about centres."""
     # Not scipy's align_vectors, which warns that one or two points fix no rotation. Their RMSD is unique.
     u, _, vt = np.linalg.svd(covariance)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turn = np.asarray(u @ flip @ vt)
-    return turn, centre - turn @ own_centre
+    return turn, centre - turn @ x_centre
 
 
 def rmsd(x: Floats, reference: Floats) -> float:

@@ -492,6 +492,7 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[s
     the tables of the PDB. Hydrogens are from the structure. PyMOL requires the bonds of standard components
     if a file has bonds of other components.
     """
+    # Bonds within the mobile components.
     names = structure.residue_name_in_file[structure.atom_residue]
     inside = np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0
     inside &= ~structure.coordination & ~structure.obstacle[structure.bonds].any(axis=1)
@@ -523,6 +524,7 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[s
         table = [row for row in table if row["comp_id"] != comp or (is_stated and not _ends(row) & hydrogens)]
         if not (is_stated or _is_standard(name)):
             atoms, table = atoms + heavy[_ATOMS], table + heavy[_BONDS]
+        # Bonds of the structure that the tables lack, with orders of the dictionary.
         orders = {_ends(row): row["value_order"] for row in heavy.get(_BONDS, ())}
         drawn = {_ends(row) for row in table if row["comp_id"] == comp}
         for first, second in (map(gemmi.cif.quote, pair) for pair in groups[name]):

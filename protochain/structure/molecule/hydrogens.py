@@ -2,8 +2,8 @@
 
 OpenMM's Modeller places hydrogens at random and minimises. Here equal atoms lead to equal positions. Bond
 lengths are from ff14SB. Angles follow the hybridisation of the parent. Methyl and amine hydrogens are
-staggered. Hydroxyls and thiols are rotated, one after the other, to the lowest energy. It has a repulsion, and
-a Coulomb term with a dielectric of 4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979).
+staggered. Hydroxyls and thiols are rotated, one after the other, to the lowest energy: a repulsion and a
+Coulomb term with a dielectric of 4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979).
 """
 
 from collections.abc import Iterable

@@ -151,8 +151,7 @@ def raise_bound(part: Part) -> Part:
 @njit(cache=True)
 def _pass_messages(single: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
     """Repeatedly divide the energies of each table and its two sites equally between the sites."""
-    # Site i has single[first[i]:first[i + 1]]. Minima of rows and columns of a table finally move to its
-    # sites, so that a separable table is zero.
+    # Site i has single[first[i]:first[i + 1]]. Minima of tables move to sites. Separable tables become 0.
     before = -np.inf
     for turn in range(_ROUNDS + 1):
         bound, is_last = 0.0, turn == _ROUNDS
