@@ -309,7 +309,7 @@ def _line(rows: Sequence[Row]) -> str:
     """One line for a structure: the result of each method, or the message of a failure."""
     lines: list[str] = []
     for record in (row.record for row in rows):
-        if "output" in record and record["status"] not in ("killed", "error"):  # These are of its page.
+        if "output" in record and record["status"] not in ("killed", "error"):  # These come from the page.
             is_relaxed = "n_rounds" in record
             before, after = (record.get(f"violations_{stage}") for stage in ("start", "end"))
             violations = f"violations {before} to {after}, " if is_relaxed else ""

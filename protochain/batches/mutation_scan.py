@@ -172,6 +172,7 @@ def run_scan(
         "positions": float(np.abs(structure.positions).sum()), **plain,
     }  # fmt: skip
     rows: Rows = []
+    # Read the finished rows of an interrupted scan.
     if checkpoint_file.exists() and resume:
         remedy = "give another output, or leave out ", Argument("resume", True)
         with checkpoint(checkpoint_file, settings, "scan", *remedy):

@@ -119,6 +119,7 @@ def build_chain(
     if not turning and not structure.mobile.any() and not is_body:
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
+    # Molecules, a root atom of each, and the freedom of each root.
     molecule = components(bonds, structure.n_atoms)
     if structure.obstacle.any():
         # All obstacles form one fixed body.

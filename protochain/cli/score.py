@@ -109,6 +109,7 @@ def score(
         origin = structure_to_measure(reference) if reference else None
         jobs = [ScoreJob(*entry, (*(interface or ()),), relax, origin) for entry in files]
         results = score_files(jobs, processes)
+    # Rows with their interfaces, or with the reason for a missing one.
     pairs: list[tuple[dict[str, Any], Interface | None]] = [
         (refusal_row(result, file=name), None)
         if isinstance(result, str)
