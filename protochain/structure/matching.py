@@ -26,7 +26,7 @@ pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps
 _ONE_FOLD = 0.5
 """Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
 _EXCHANGEABLE = 0.95
-"""Least identity of exchangeable chains relative to the most similar one. OpenStructure uses 0.95, too."""
+"""Least identity relative to the most similar chain. In OpenStructure chains are equal from 0.95 on."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ GLYCAM = _DATA / "amber14" / "GLYCAM_06j-1.xml"
 HAS_GLYCAM = "amber14"
 """Force field of proteins for these glycans."""
 HAS_SAGE = "amber19"
-"""Force field of proteins that Sage is combined with."""
+"""Another force field of proteins that Sage is combined with."""
 _BONDED = 2.2
 """Angstrom. Largest bond length of an amino acid (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"
