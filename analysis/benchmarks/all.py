@@ -96,6 +96,8 @@ STARTED = " ".join(
     [*(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "4pti", "1ubq")), SMALL]
     + [f"MORE/{name}" for name in ("1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1orc_icode.pdb")]
 )
+IN_PATHS = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "4pti", "1ubq"))
+IN_PATHS += " MORE/1orc_icode.pdb"
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 HELD = " ".join(f"MORE/{name}" for name in HELD_OUT[:-1])
 """Without the largest, in which OpenMM's minimiser takes more than ten minutes to a tolerance of 1."""
@@ -139,8 +141,11 @@ NOTEBOOKS, SCENES = (
     sorted(path.stem for path in (ROOT / "analysis" / kind).glob("*.ipynb"))
     for kind in ("notebooks", "scenes")
 )
-KCM_RUNS = " ".join(f"analysis/results/{name}.csv" for name in ("kcm_runs", "kcm_traces", "lowest"))
-KCM_TABLES = ("contrasts", "proteins", "cost", "deposited", "bodies", "choices", "minima", "above")
+KCM_RUNS = " ".join(
+    f"analysis/results/{name}.csv"
+    for name in ("kcm_runs", "kcm_traces", "lowest", "kcm_paths", "kcm_path_points")
+)
+KCM_TABLES = ("contrasts", "proteins", "cost", "deposited", "bodies", "choices", "minima", "above", "methods")
 
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
@@ -213,9 +218,15 @@ JOBS = (
         "python analysis/bench lowest --quick -o DIR", {"lowest.csv": ("lowest.csv", ())}, continues=True,
     ),
     Job(
+        "paths-kcm", f"python analysis/bench paths {IN_PATHS} -o DIR --minutes 40", 40,
+        "python analysis/bench paths --quick -o DIR",
+        {"paths.csv": ("kcm_paths.csv", ()), "path_points.csv": ("kcm_path_points.csv", ())}, continues=True,
+    ),
+    Job(
         "kcm", f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
         f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0",
-        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in KCM_TABLES} | {"kcm.png": ("kcm.png", ())},
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in KCM_TABLES}
+        | {name: (name, ()) for name in ("kcm.png", "kcm-paths.png")},
         after="runs-kcm",
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 2 --repeats 2 -o DIR", 8),

@@ -110,10 +110,13 @@ def stored(path: Path) -> pd.DataFrame:
 
 
 def _adopt(table: Path, folder: Path) -> None:
-    """Copy a table of runs, of traces or of searches to the folder, unless it has one."""
+    """Copy a table of runs, traces, searches or paths to the folder, unless it has one."""
     text = regular(table).read_text(encoding="utf-8")
     columns = text.partition("\n")[0].split(",")
-    names = {kcm_cases.COLUMNS[-1]: "runs.csv", lowest.COLUMNS[5]: "lowest.csv"}
+    names = {
+        kcm_cases.COLUMNS[-1]: "runs.csv", lowest.COLUMNS[5]: "lowest.csv",
+        "entropy_loss_j_mol_k": "paths.csv", "path_nm": "path_points.csv",
+    }  # fmt: skip
     own = folder / next((name for column, name in names.items() if column in columns), "traces.csv")
     if not own.exists():
         write_text(own, text)

@@ -45,6 +45,42 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     return figure
 
 
+PATHS = (
+    "kcm-0.005", "entropy-positions-0.03", "entropy-mass-0.01", "md-0.1", "md-1", "md-10", "md-100", "lbfgs",
+)  # fmt: skip
+"""Methods of the figure of paths."""
+
+
+def plot_paths(points: pd.DataFrame, rows: pd.DataFrame) -> Figure:
+    """Energy along the paths of one peptide, and path lengths from deposited proteins at equal cost."""
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    energy, lengths = figure.subplots(1, 2)
+    style = looks(PATHS)
+    for name in PATHS:
+        path = points[points["method"] == name]
+        energy.plot(path["path_nm"], path["energy_kj_mol"], **style[name].line(name))
+    energy.set(
+        xscale="log", xlabel="path length, nm (RMS movement by mass)", ylabel="potential energy, kJ/mol",
+        title=f"Bounded KCM falls along a path as short as that of dynamics: {points['protein'].iloc[0]}",
+    )  # fmt: skip
+    deposited = rows[rows["start"] == "deposited"].sort_values("residues", kind="stable")
+    for name in PATHS:
+        path = deposited[deposited["method"] == name]
+        if len(path):
+            lengths.plot(path["residues"], path["path_nm"], **style[name].line(name) | {"markevery": 1})
+    lengths.set(
+        xscale="log", yscale="log", xlabel="residues", ylabel="path length, nm",
+        title="Without a bound KCM moves a protein to and fro",
+    )  # fmt: skip
+    for axis in (energy, lengths):
+        plain(axis)
+        axis.title.set_fontsize(10)
+    figure.legend(
+        *energy.get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside lower center", ncols=8
+    )
+    return figure
+
+
 _NAMED = {
     "KCM and dynamics, friction 10": "KCM by torques and dynamics, friction 10 / ps",
     "metric of masses": "add masses (KCM along $M^{-1}$torque)",

@@ -11,6 +11,7 @@ tests over proteins, with Holm's correction for all effects of a table.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,16 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest, bootstrap
 
-from bench.studies import kcm_plots, lowest
+from bench.studies import kcm_plots, lowest, paths
 from bench.studies.kcm_cases import (
     AT,
     BODIES,
+    BOUNDS,
     CONTROLS,
     KEY,
     LEFT,
     METHODS,
+    METRICS,
     MODELS,
     OF_BODIES,
     SAME_KJ_MOL,
@@ -69,6 +72,14 @@ CONTRASTS = (
     Contrast("rule: adaptive angle", "kcm-0.005", "kcm-adaptive"),
     Contrast("rule: constant compliance", "kcm-0.005", "kcm-proportional"),
     Contrast("rule: by signs", "kcm-0.005", "kcm-sign"),
+    *(
+        Contrast(f"bound {bound:g}, {metric}", "kcm-0.005", f"entropy-{metric}-{bound:g}")
+        for metric, bound in product(METRICS, BOUNDS)
+    ),
+    *(
+        Contrast(f"bound {BOUNDS[-1]:g}, {metric}, and dynamics", f"entropy-{metric}-{BOUNDS[-1]:g}", "md-10")
+        for metric in METRICS
+    ),
     *(
         Contrast(f"{kind} of {name}", name, f"{name}-{end}", True)
         for name in TRIALS
@@ -122,6 +133,10 @@ def write(
     made = tables(runs, lowest.stored(searches))
     if not made:
         return
+    if (output / "paths.csv").exists():
+        rows, points = paths.stored(output / "paths.csv"), pd.read_csv(output / "path_points.csv")
+        made["methods"] = methods(runs, made["above"], rows)
+        save(output, {"kcm-paths.png": kcm_plots.plot_paths(points, rows)})
     save(output, {f"{name}.csv": table for name, table in made.items()})
     traces = output / "traces.csv"
     draw = partial(kcm_plots.plot, made, pd.read_csv(traces) if traces.exists() else None)
@@ -470,6 +485,40 @@ def above(runs: pd.DataFrame, minima: pd.DataFrame) -> pd.DataFrame:
         )  # fmt: skip
     names = ["above_kj_mol", *(f"above_kj_mol{end}" for end in _ENDS), "median_kj_mol", "largest_kj_mol"]
     return pd.DataFrame(rows, columns=["method", "peptides", "left_out", "lowest", "lowest_high", *names])
+
+
+def methods(runs: pd.DataFrame, above: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
+    """Ends and paths of each method over the extended peptides, with the rows of ``paths.csv``.
+
+    ``same`` is the share of finished pairs with ``md-10`` that end in one minimum. Lengths, steps and
+    entropies are means over the peptides with a finished path. Limits, ``_low`` and ``_high``, resample the
+    peptides (95 %).
+    """
+    ends = _peptides(runs)
+    ends = ends[ends["seed"] == 0]
+    heights = above.set_index("method")
+    table = []
+    for method in paths.METHODS:
+        method_paths = rows[(rows["method"] == method) & (rows["start"] == "extended")].set_index("protein")
+        finished = method_paths[method_paths["finished"].astype(bool)]
+        if finished.empty:
+            continue
+        row: dict[str, Any] = {
+            "method": method, "peptides": len(method_paths), "finished": len(finished),
+            "evaluations": finished["evaluations"].median(),
+        }  # fmt: skip
+        pairs = compared(ends, [Contrast("dynamics", method, "md-10")])
+        pairs = pairs[pairs["finished"].astype(bool)].set_index("protein")
+        if len(pairs) and method != "md-10":
+            row |= {"pairs": len(pairs), "same_pairs": int(pairs["same"].sum())}
+            row |= _interval("same", pairs["same"], 0.0)
+        if method in heights.index:
+            names = [f"above_kj_mol{end}" for end in ("", *_ENDS)]
+            row |= dict(zip(names, heights.loc[method, names], strict=True))
+        for name in ("path_rad", "path_nm", "largest_step_nm", "entropy_loss_j_mol_k"):
+            row |= _interval(name, finished[name].dropna())
+        table.append(row)
+    return pd.DataFrame(table)
 
 
 def cost(runs: pd.DataFrame) -> pd.DataFrame:

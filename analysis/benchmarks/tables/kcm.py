@@ -247,3 +247,64 @@ def kcm_sentence(contrasts: pd.DataFrame, above: pd.DataFrame) -> str:
         f"is the end of {lowest('kcm-0.005')} peptides, of {lowest('md-10')}, and of {lowest('lbfgs')}.",
     )
     return "\n".join(map(paragraph, paragraphs))
+
+
+@table("kcm-methods", "kcm_methods.csv")
+def kcm_methods(rows: pd.DataFrame) -> str:
+    """Ends and paths of the methods over the extended peptides."""
+
+    def mean(row: pd.Series, name: str, form: str) -> str:
+        if pd.isna(row[name]):
+            return "-"
+        value, low, high = (form.format(row[f"{name}{end}"]) for end in ("", "_low", "_high"))
+        return f"{value} ({low} to {high})"
+
+    def cells(row: pd.Series) -> Iterator[str]:
+        yield f"`{row['method']}`"
+        yield f"{row['finished']:.0f} of {row['peptides']:.0f}"
+        is_same = not pd.isna(row["same_pairs"])
+        yield f"{row['same_pairs']:.0f} of {row['pairs']:.0f}, {percent_of(row)}" if is_same else "-"
+        yield mean(row, "above_kj_mol", "{:.1f}")
+        yield f"{row['evaluations']:.0f}"
+        yield mean(row, "path_rad", "{:.2f}")
+        yield mean(row, "path_nm", "{:.2f}")
+        yield mean(row, "largest_step_nm", "{:.4f}")
+        yield mean(row, "entropy_loss_j_mol_k", "{:.0f}")
+
+    def percent_of(row: pd.Series) -> str:
+        return f"{100 * row['same']:.0f} % ({100 * row['same_low']:.0f} to {100 * row['same_high']:.0f})"
+
+    heads = (
+        "method", "finished", "one minimum with `md-10`", "above the lowest, kJ/mol", "evaluations",
+        "path, rad", "path, nm", "largest step, nm", "entropy loss, J/mol/K",
+    )  # fmt: skip
+    return markdown(heads, (cells(row) for _, row in rows.iterrows()))
+
+
+@table("kcm-basins", "kcm_paths.csv")
+def kcm_basins(rows: pd.DataFrame) -> str:
+    """Ends of equal evaluations from deposited proteins: height, RMSD to the start, and path length."""
+    deposited = rows[rows["start"] == "deposited"].sort_values("residues", kind="stable")
+    lowest = deposited.groupby("protein")["energy_kj_mol"].min()
+    proteins = list(dict.fromkeys(deposited["protein"]))
+
+    def cells(method: str, ends: pd.DataFrame) -> Iterator[str]:
+        of = ends.set_index("protein")
+        yield f"`{method}`"
+        for protein in proteins:
+            if protein in of.index:
+                row = of.loc[protein]
+                yield f"{row['energy_kj_mol'] - lowest[protein]:.1f}, {row['ca_rmsd_angstrom']:.2f}"
+            else:
+                yield "-"
+        yield f"{ends['path_nm'].median():.2f}"
+        yield f"{100 * ends['contacts_share'].min():.0f} %"
+
+    sizes = deposited.groupby("protein")["residues"].first()
+    heads = (
+        "method",
+        *(f"{name} ({sizes[name]:.0f})" for name in proteins),
+        "median path, nm",
+        "least contacts",
+    )
+    return markdown(heads, (cells(str(name), ends) for name, ends in deposited.groupby("method", sort=False)))
