@@ -42,7 +42,7 @@ def test_what_all_processes_read_is_named_if_it_cannot_be_written(tmp_path, monk
 
     monkeypatch.setattr(Path, "write_bytes", full)
     wrong = pytest.raises(WriteError, match=rf"{tmp_path}.*pickle: not written \(File too large\)")
-    with wrong, cluster.shared((1,), tmp_path):
+    with wrong, cluster.shared_file((1,), tmp_path):
         pass
 
 
