@@ -127,7 +127,7 @@ def _tree_of_contacts(chain: Chain, x: Floats) -> Tree:
     """Tree whose C-alphas weigh one more than the number of their contacts at positions x (na, 3)."""
     structure = chain.structure
     counts = np.bincount(alpha_contacts(structure, x).ravel(), minlength=structure.n_atoms)
-    return _tree_of_alphas(chain, 1.0 + counts[structure.alpha_carbons])
+    return _tree_of_alphas(chain, 1.0 + counts[structure.alpha_carbons].astype(float))
 
 
 def _tree_of_alphas(chain: Chain, weights: Floats) -> Tree:
