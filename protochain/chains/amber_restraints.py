@@ -58,7 +58,7 @@ def restraints_of_amber(text: str) -> Iterator[Restraint]:
     for line, name, body in _namelists(text):
         try:
             if name != "rst":
-                raise ProtochainError(f"namelist &{name} is not implemented; give a file of &rst alone")
+                raise ProtochainError(f"namelist &{name} is not implemented; give a file with &rst only")
             if end:
                 raise ProtochainError(f"AMBER reads no &rst after that without iat in line {end}; remove it")
             variables = _expand_parabola(inherited | _read_variables(body, inherited))
@@ -109,7 +109,7 @@ def _read_variables(body: str, inherited: Mapping[str, Any]) -> dict[str, Any]:
                 raise ProtochainError(f"&rst has no variable {name}; remove it, or correct its name")
             continue
         if not name:
-            raise ProtochainError(f"&rst: {token[0]!r} belongs to no variable; give NAME=VALUE")
+            raise ProtochainError(f"&rst: {token[0]!r} is not assigned to a variable; give NAME=VALUE")
         if token["comma"]:
             # An omitted value remains unchanged.
             index, after_comma = index + after_comma, True
@@ -176,7 +176,7 @@ def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
         raise ProtochainError("&rst: igr: groups in dihedrals are not implemented; give four atoms")
     values = [scalar(name) for name in _WELL]
     if None in values:
-        raise ProtochainError("&rst: there is no well; give r1 to r4, rk2 and rk3, here or before")
+        raise ProtochainError("&rst: the well is incomplete; give r1 to r4, rk2 and rk3, here or before")
     r1, r2, r3, r4, k2, k3 = values
     if not r1 <= r2 <= r3 <= r4:
         raise ProtochainError(f"&rst: r1 to r4 are {r1:g}, {r2:g}, {r3:g}, {r4:g}; give them in rising order")

@@ -279,7 +279,7 @@ def _walk(
     hinges_used = {body.hinge for body in bodies}
     unused = next((hinge for hinge in hinges if hinge not in hinges_used), None)
     if unused is not None:
-        raise ChainError(f"{name}: {unused} lies in a ring of turning bonds; do not open hinges of its kind")
+        raise ChainError(f"{name}: {unused} is in a ring of rotatable bonds; do not open hinges of its kind")
     return bodies, np.array([body_of[int(g)] for g in group])
 
 

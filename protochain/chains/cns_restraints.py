@@ -96,7 +96,7 @@ def _read_assign(tokens: deque[_Token]) -> Restraint:
     while tokens:
         if further := _numbers(tokens):
             if numbers:
-                raise ProtochainError(f"assign: {further[0]:g} belongs to no word; remove it")
+                raise ProtochainError(f"assign: {further[0]:g} is not expected here; remove it")
             numbers = further
         elif n == 2 and tokens[0].text.lower() == "or":
             tokens.popleft()

@@ -57,7 +57,7 @@ def _join(join: np.ufunc, first: Selection, second: Selection) -> Selection:
 def _factor(tokens: list[str]) -> tuple[Selection, list[str]]:
     """Selection of one factor, and the tokens after it."""
     if not tokens:
-        raise ProtochainError("selection: it ends too early; give resid 3 and name CA")
+        raise ProtochainError("selection: incomplete; give for example resid 3 and name CA")
     word, tokens = tokens[0].lower(), tokens[1:]
     if word == "not":
         inner, tokens = _factor(tokens)

@@ -134,11 +134,11 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     for k in np.argsort(share, kind="stable"):
         i, j = (int(atom) for atom in pairs[k])
         if distance[k] < 1e-4:
-            remedy = "they lie on one another, so that no force says which way to part: move one of them"
+            remedy = "they coincide, so no force separates them: move one of them"
         elif groups is not None and set(groups[i]) & set(groups[j]) - {-1}:
-            remedy = "they are of one rigid body: only cartesian, hybrid or openmm can part them"
+            remedy = "they are in one rigid body: only cartesian, hybrid or openmm can separate them"
         else:
-            remedy = "turning bonds can part them: cartesian, hybrid, lbfgs and newton do so first"
+            remedy = "turning bonds can separate them: cartesian, hybrid, lbfgs and newton do so first"
         listed.append(
             Overlap(
                 structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),

@@ -153,7 +153,7 @@ def _sides(value: Any, name: str) -> Sides:
 
 def _tail(value: Any, name: str) -> int:
     if (power := integer(value, name)) not in (1, -1):
-        raise refusal(name, power, "give 1, linear, or -1, which levels off")
+        raise refusal(name, power, "give 1 (linear) or -1 (levels off)")
     return power
 
 

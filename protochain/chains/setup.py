@@ -191,7 +191,7 @@ class Setup(Settings):
         super().__post_init__()
         if self.rigid_protein and self.move not in (defaults.MOVE, defaults.LIGAND):
             raise ProtochainError(
-                Argument("rigid_protein"), ": only ligands move; leave out ", Argument("move", self.move)
+                Argument("rigid_protein"), ": only ligands move; remove  ", Argument("move", self.move)
             )
         if self.rigid_protein:
             object.__setattr__(self, "move", defaults.LIGAND)
@@ -240,7 +240,7 @@ class Setup(Settings):
         from protochain.structure import as_structure
 
         if isinstance(self.model, str):
-            raise refusal("model", self.model, "one structure is prepared at a time; give its number")
+            raise refusal("model", self.model, "only one model can be prepared; give its number")
         structure = as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,

@@ -81,13 +81,13 @@ def checkpoint(
     except PermissionError as error:
         raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
     except _DAMAGED:
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy) from None
+        raise ProtochainError(f"{path}: is not a checkpoint of a {kind}; ", *remedy) from None
     if not {*list(settings)[:1]} <= set(written):
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy)
+        raise ProtochainError(f"{path}: is not a checkpoint of a {kind}; ", *remedy)
     for name, value in settings.items():
         if written.get(name) != value:
             raise ProtochainError(
-                f"{path}: is of a run with ",
+                f"{path}: was written by a run with  ",
                 Argument(name),
                 f" {written.get(name)!r}, not {value!r}; repeat its settings",
             )

@@ -55,7 +55,7 @@ def refuse_misplaced(call: str, name: str) -> None:
     place = next((place for place, names in _OPTIONS_OF.items() if name in names.split()), None)
     if name == "chain" or place:
         takes = (
-            f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') takes chains of a file"
+            f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') reads chains of a file"
         )
         raise ProtochainError(f"{call} has no option {name!r}; {takes}")
 
@@ -187,7 +187,7 @@ def cutoff_of(value: Any, name: str) -> Any:
         raise refusal(
             name,
             f"{distance:g} nm",
-            f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
+            f"is shorter than contacts between atoms; give {SHORTEST_CUTOFF:g} nm or more, or none",
         )
     return distance
 
@@ -333,7 +333,7 @@ def bonds(value: Any, name: str) -> tuple[Bond, ...]:
     bonds = [bond for entry in entries for bond in (words(entry) if isinstance(entry, str) else [entry])]
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in bonds)
     if not read:
-        remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
+        remedy = "names no bond; remove it, or ", Argument(name, NO_BONDS), " drops those found"
         raise refusal(name, brief(value), *remedy)
     return read
 
@@ -357,7 +357,7 @@ def charges_of_ligands(value: Any, name: str) -> str:
     """Return a rule for charges, or the path of a file of them, as text."""
     if file_name(value, name) in CHARGE_RULES or Path(value).is_file():
         return str(value)
-    raise refusal(name, brief(value), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
+    raise refusal(name, brief(value), f"is not a file; give one, or {' or '.join(CHARGE_RULES)}")
 
 
 LigandSource = tuple[str, str]
@@ -387,7 +387,7 @@ def ligands(value: Any, name: str) -> tuple[LigandSource, ...]:
     codes = [code for code, _ in read if code]
     twice = next((code for code in codes if codes.count(code) > 1), None)
     if twice:
-        raise refusal(name, repr(twice), "is given twice; give each name one molecule")
+        raise refusal(name, repr(twice), "occurs twice; give one molecule for each name")
     return read
 
 
@@ -478,7 +478,7 @@ def instance(kind: type, remedy: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
             return value
-        raise refusal(name, brief(value), f"give a {kind.__name__}, as of {remedy}")
+        raise refusal(name, brief(value), f"give a {kind.__name__}, for example from {remedy}")
 
     return check
 

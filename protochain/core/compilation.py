@@ -69,7 +69,7 @@ _SETTINGS.reload_config()
 # program imports first, it would make results depend on the order of imports and calls.
 _SETTINGS.SLP_VECTORIZE = 1
 if _SETTINGS.DISABLE_JIT:
-    raise ProtochainError("NUMBA_DISABLE_JIT is set, and kernels run compiled alone; unset it")
+    raise ProtochainError("NUMBA_DISABLE_JIT is set, but kernels must be compiled; unset it")
 # Vectors of eight doubles are 1.3 to 1.5 times faster than the four that LLVM prefers. NUMBA_CPU_... decide.
 if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in get_host_cpu_features():
     _SETTINGS.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
@@ -169,7 +169,7 @@ class Store:
             try:
                 self._files.save_overload(signature, compiled)
             except OSError as error:
-                _LOG.info("%s: compiled code not kept (%s)", self.cache_path, error.strerror)
+                _LOG.info("%s: compiled code was not cached (%s)", self.cache_path, error.strerror)
             except Exception:
                 # The index is damaged.
                 with suppress(OSError):
@@ -314,8 +314,8 @@ def _announce(is_cached: bool) -> None:
     if compile_helpers.is_helper():
         return
     if is_cached:
-        _LOG.warning("compiling kernels for this machine, which keeps them for later runs")
+        _LOG.warning("compiling kernels for this machine; later runs reuse them")
     else:
         _LOG.warning(
-            "compiling kernels, as in every run: no folder can keep them; set NUMBA_CACHE_DIR to one that can"
+            "compiling kernels in every run: no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
         )

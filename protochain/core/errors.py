@@ -117,7 +117,7 @@ class WriteError(ProtochainError):
         path, reason, saved, *then = self.args
         cause = getattr(reason, "strerror", None) or reason
         remedy = _REMEDIES.get(getattr(reason, "errno", errno.ENOSPC), "check the path")
-        after = (", then ", *then) if then else (", or give another place, and run again",)
+        after = (", then ", *then) if then else (", or give another path, and run again",)
         return (f"{path}: not written ({cause}){saved and f'; saved: {saved}'}; {remedy}", *after)
 
     def with_saved(self, saved: str, *then: str | Argument) -> "WriteError":
@@ -133,7 +133,7 @@ _REMEDIES = {
     errno.EROFS: "make the drive writable",
     errno.ENAMETOOLONG: "give a shorter name",
     errno.EIO: "check the drive",
-    errno.ENOENT: "make the folder again",
+    errno.ENOENT: "create the folder again",
 }
 """What to do about a reason of the system. A reason that is a text is a full disk."""
 

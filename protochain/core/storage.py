@@ -64,7 +64,7 @@ def as_utf8(text: str) -> str:
 def regular(path: Path) -> Path:
     """Return a path as it is, unless it is not a regular file: to read a pipe or a device may never end."""
     if path.exists() and not path.is_file():
-        raise ProtochainError(f"{path}: is not a regular file; give the name of one")
+        raise ProtochainError(f"{path}: is not a regular file; give a regular file")
     return path
 
 
@@ -116,7 +116,7 @@ def claim_folder(folder: Path, kind: str, resume: bool = False) -> Iterator[None
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     try:
-        with _lock(folder / ".lock", f"{folder}: another {kind} is writing to this folder; give another"):
+        with _lock(folder / ".lock", f"{folder}: another {kind} is writing to this folder; choose another"):
             for path in folder.rglob(".protochain-*") if resume else ():
                 if _TEMPORARY.fullmatch(path.name) and path.is_dir():
                     shutil.rmtree(path, ignore_errors=True)
@@ -180,7 +180,7 @@ def _open_locked(path: Path, refusal: str) -> int:
             raise ProtochainError(refusal) from None
         except (ImportError, OSError) as error:
             problem = f"{path.parent}: this file system has no locks ({error})"
-            warnings.warn(f"{problem}; start no other run that writes here", WriteWarning, stacklevel=2)
+            warnings.warn(f"{problem}; do not start another run that writes here", WriteWarning, stacklevel=2)
             return file
         # The process that had the lock before may have removed this file.
         with suppress(FileNotFoundError):

@@ -116,7 +116,7 @@ class Hinge(Named):
             raise MechanicsError(
                 f"{label} pitch is zero; give a pitch, or kind revolute"
                 if self.kind == "screw"
-                else f"{label} pitch is of screws only; give kind screw"
+                else f"{label} pitch applies to screws only; give kind screw"
             )
         if self.kind == "fixed" and (self.q or self.qd or self.armature):
             raise MechanicsError(
@@ -227,7 +227,7 @@ def _refuse_free_needles(
         moments = np.linalg.eigvalsh(body.inertia)
         if body.mass > 0.0 and moments[0] <= NO_INERTIA * np.sum(moments):
             raise MechanicsError(
-                f'body "{names[b]}": it is free, and nothing resists its turning; give it an inertia about '
+                f'body "{names[b]}": it is free and has no inertia about some axis; give it an inertia about '
                 "all axes, or hinges that do not turn it"
             )
 
@@ -271,14 +271,14 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
         for role, body in (("parent", hinge.parent), ("child", hinge.child)):
             if body not in bodies and (role, body) != ("parent", WORLD):
                 raise MechanicsError(
-                    f'hinge "{name}": its {role} "{body}" is no body; there are {valid}; add it by body()'
+                    f'hinge "{name}": its {role} "{body}" is not a body ({valid}); add it by body()'
                     if body != WORLD
                     else f'hinge "{name}": the world cannot be a child; swap parent and child'
                 )
         if hinge.child in inward:
             raise MechanicsError(
                 f'body "{hinge.child}" has two inward hinges, "{inward[hinge.child]}" and "{name}"; '
-                "bodies form trees: make one of them close()"
+                "bodies form trees: replace one hinge by close()"
             )
         inward[hinge.child] = name
         child = bodies[hinge.child]
@@ -286,7 +286,7 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
         strange = "armature" if child.armature else strange
         if strange:
             raise MechanicsError(
-                f'body "{hinge.child}": {strange} is of free bodies only, and hinge "{name}" holds it; '
+                f'body "{hinge.child}": {strange} applies to free bodies only, but hinge "{name}" moves it; '
                 f"give {'that' if child.armature else 'q and qd'} of the hinge"
             )
     return inward
@@ -308,7 +308,7 @@ def _order_hinges(
     left = [name for name in bodies if name not in reached]
     if left:
         raise MechanicsError(
-            f'body "{left[0]}" hangs on itself: hinge "{inward[left[0]]}" is part of a loop of hinges; '
-            "open it by leaving one out, and close it by close()"
+            f'body "{left[0]}" is in a loop of hinges, with hinge "{inward[left[0]]}"; '
+            "replace one hinge of the loop by close()"
         )
     return tuple(order[1:])

@@ -59,7 +59,7 @@ def assumed_modes(
         If a shape has no stiffness, or a torsion shape no inertia, or if zones are rigid, or masses lumped.
     """
     if of.rigid or of.lumped:
-        raise MechanicsError("shapes are of beams without rigid zones and lumped masses; take segments")
+        raise MechanicsError("shapes require beams without rigid zones and lumped masses; use segments")
     for name, axis, count in (("flap", "y", flap), ("lag", "z", lag), ("twist", "x", twist)):
         if count and not of.stiffness(axis) > 0.0:
             raise MechanicsError(f"a beam with shapes of {name} needs a stiffness {name} above zero")

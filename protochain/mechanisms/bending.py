@@ -46,13 +46,13 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
     bodies, tree = model.bodies, model.tree
     if bodies.joints is not None:
         raise MechanicsError(
-            "bodies that bend take no loops: their recursion has no rows for them; close them by springs "
+            "flexible bodies do not support closed loops; close them by springs "
             "between rigid bodies that are fixed to their sections"
         )
     if model.loads or model.events or model.memories:
         raise MechanicsError(
-            "loads, dampers, friction and events see rigid bodies: leave them out, and give loads of bodies "
-            "that bend by dataclasses.replace(system, loads=...)"
+            "loads, dampers, friction and events apply to rigid bodies only; remove them, and set loads of "
+            "flexible bodies by dataclasses.replace(system, loads=...)"
         )
     shapes_of: list[Shapes | None] = [None] * tree.n_bodies
     for name, sections in shapes.items():
@@ -97,8 +97,8 @@ class _Forces:
         for b in np.flatnonzero(np.any(wrenches, axis=1)):
             if flexible.shapes[b] is not None:
                 raise MechanicsError(
-                    f'something acts on "{self.model.bodies.names[b]}", which bends; fix a body to its '
-                    "section by a hinge of kind fixed, and let it act there"
+                    f'a load acts on "{self.model.bodies.names[b]}", which is flexible; fix a body to its '
+                    "section by a hinge of kind fixed, and apply the load there"
                 )
         nodes = np.concatenate([np.zeros((len(mass), 3)), mass[:, None] * self.gravity], axis=1)
         nodes[body] += wrenches

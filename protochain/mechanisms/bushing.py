@@ -97,8 +97,8 @@ class Bushings(Rows):
         )
         if energy < 0.0:
             raise MechanicsError(
-                f'bushing "{self.names[round(-energy) - 1]}": it is turned by half a turn, where its torque '
-                "has no direction; take a hinge with a torsion for large turns",
+                f'bushing "{self.names[round(-energy) - 1]}": at a rotation of half a turn its torque '
+                "has no direction; use a hinge with a torsion for large rotations",
                 fault=Fault.HALF_TURN,
             )
         return energy

@@ -82,13 +82,13 @@ class Closing(Between):
                 f"{self.label}: its kind {brief(self.kind)}: give {', '.join(kinds)} or {last}"
             )
         if (self.kind == "universal") != (self.axis_b is not None):
-            raise MechanicsError(f"{self.label}: axis_b belongs to kind universal, which needs it")
+            raise MechanicsError(f"{self.label}: axis_b applies to kind universal only, which requires it")
         self.fix(axis=direction(self.axis, f"{self.label}: its axis"))
         if self.axis_b is not None:
             self.fix(axis_b=direction(self.axis_b, f"{self.label}: its axis_b"))
         if self.rotation is not None:
             if self.kind != "rigid":
-                raise MechanicsError(f"{self.label}: rotation belongs to kind rigid, not to {self.kind}")
+                raise MechanicsError(f"{self.label}: rotation applies to kind rigid, not to {self.kind}")
             self.fix(rotation=rotation_matrix(self.rotation, f"{self.label}: its rotation"))
 
     def bind(self, bodies: Bodies) -> LoopJoints:

@@ -184,7 +184,7 @@ def _check_shapes(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
         raise MechanicsError(f"shapes {brief(shapes)}: {remedy}")
     for shape in shapes:
         if not isinstance(shape, Shape):
-            raise MechanicsError(f"shapes: {brief(shape)} is none: {remedy}")
+            raise MechanicsError(f"shapes: {brief(shape)} is not a shape: {remedy}")
         bodies.number(shape.body, "shapes")
     return shapes
 

@@ -36,7 +36,7 @@ def answer(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
     except ProtochainError:
         raise
     except Exception as error:
-        raise MechanicsError(f"{label} fails: {type(error).__name__}: {error}; mend the function") from error
+        raise MechanicsError(f"{label} fails: {type(error).__name__}: {error}; correct it") from error
 
 
 def number(value: Any, label: str) -> float:
@@ -49,7 +49,7 @@ def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, label)
     if np.any(array < 0.0):
         raise MechanicsError(
-            f"{label} {brief(value)}: give none below zero, which would make energy of nothing",
+            f"{label} {brief(value)}: give none below zero, which would create energy",
             fault=Fault.NEGATIVE,
         )
     return array

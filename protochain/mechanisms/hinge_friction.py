@@ -124,8 +124,8 @@ def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
             if np.max(np.abs(size - before)) <= _SAME * np.max(size):
                 return size
         label = pressed[int(np.argmax(np.abs(size - before)))].label
-        raise MechanicsError(f"{label}: it jams at time {time:g}, where no force of its hinge is in balance "
-                             "with its friction; give a smaller coefficient or radius")  # fmt: skip
+        raise MechanicsError(f"{label}: it jams at time {time:g}, as no force of its hinge balances "
+                             "its friction; give a smaller coefficient or radius")  # fmt: skip
 
     def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         pressing = sizes(time, q, qd) if pressed else ()

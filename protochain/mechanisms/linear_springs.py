@@ -72,8 +72,8 @@ class Spring(Between):
         neutral = built if self.rest is None else self.rest
         if self.stiffness > 0.0 and built == 0.0 < neutral:
             raise MechanicsError(
-                f"{self.label}: its ends meet as built, where its force has no direction; "
-                "give rest=0, or move one"
+                f"{self.label}: its ends coincide as built, so its force has no direction; "
+                "give rest=0, or move one end"
             )
         row = Springs(
             np.array([self.name]), ends, points, read_only([(self.stiffness, neutral, self.damping)])
@@ -96,7 +96,7 @@ class Springs(Rows):
         energy: float = pull(frames.rotation, frames.origin, self.ends, self.points, self.constants, wrenches)
         if energy < 0.0:
             raise MechanicsError(
-                f'spring "{self.names[round(-energy) - 1]}": its ends meet, where its force has no '
+                f'spring "{self.names[round(-energy) - 1]}": its ends coincide, so its force has no '
                 "direction; give it rest=0, or keep its ends apart"
             )
         return energy

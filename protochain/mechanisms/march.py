@@ -74,8 +74,8 @@ def _past(
             return length, after
         length *= 0.5
     raise MechanicsError(
-        f"{low[0].name}: after its jump, at time {at.time:g}, its value does not rise above zero; "
-        "let the jump end what repeats itself, or go on without this event",
+        f"{low[0].name}: its value is not above zero after its jump at time {at.time:g}; "
+        "let the jump raise the value, or remove this event",
         fault=Fault.ENDLESS,
     )
 

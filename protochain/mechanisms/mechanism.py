@@ -245,9 +245,9 @@ class Mechanism:
         if not isinstance(name, str) or not name:
             raise MechanicsError(f"the name {brief(name)} of a {noun}: give a text")
         if name in reserved:
-            raise MechanicsError(f'"{name}" is no name for a {noun}: it has a meaning; give another')
+            raise MechanicsError(f'"{name}" is reserved; give another name to the {noun}')
         if name in group:
-            raise MechanicsError(f"{part.label} is named twice; give each a name of its own")
+            raise MechanicsError(f"{part.label} is named twice; give each a different name")
         group[name] = part
 
     body = _adds(Body, "Add a body.")
@@ -295,8 +295,8 @@ class Mechanism:
             q, qd, _ = driven.at(0.0)
             if any(has not in (0.0, is_) for has, is_ in ((hinge.q, q), (hinge.qd, qd))):
                 raise MechanicsError(
-                    f'hinge "{name}": its drive begins at q = {q:g}, qd = {qd:g}, not at those given; leave '
-                    "them to the drive"
+                    f'hinge "{name}": its drive begins at q = {q:g}, qd = {qd:g}, not at the given values; '
+                    "remove q and qd of the hinge"
                 )
             unit = np.pi / 180.0 if self._degrees and hinge.kind != "prismatic" else 1.0
             starts[name] = unit * q, unit * qd

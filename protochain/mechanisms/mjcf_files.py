@@ -30,7 +30,7 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
         import mujoco
     except ImportError:
         raise MechanicsError(
-            "MJCF is read by MuJoCo, which is not installed: pip install 'protochain[robots]'; or give a URDF"
+            "reading MJCF requires MuJoCo: pip install 'protochain[robots]', or give a URDF"
         ) from None
     reading = Reading(into, source, stops, leave_out)
     folder = Path() if is_text(source) else Path(source).parent
@@ -40,7 +40,7 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
         m = kind.from_xml_string(source) if is_text(source) else kind.from_xml_path(str(source))
     except (ValueError, RuntimeError, MemoryError) as error:
         # The extension raises RuntimeError for exceptions of C++, as of memory that it does not get.
-        raise reading.refuse(f"MuJoCo does not read it: {' '.join(str(error).split())}") from None
+        raise reading.refuse(f"MuJoCo cannot read it: {' '.join(str(error).split())}") from None
     _Compiled(reading, mujoco, m).read()
 
 
@@ -73,7 +73,7 @@ def _check_files(reading: Reading, root: Element, folder: Path) -> None:
         names = {value for name, value in element.items() if name.startswith("file")}
         for path in {start / part for start in folders for name in names for part in (name, Path(name).name)}:
             if path.exists() and not path.is_file():
-                raise reading.refuse(f"{path} is not a regular file; give the name of one")
+                raise reading.refuse(f"{path} is not a regular file; give a regular file")
         numbers = [_product(element, name) for name in element.attrib if name.startswith("nuser")]
         cells = max(_product(element, "nrow", "ncol"), _product(element, "width", "height"), *numbers, 0.0)
         if cells > _MOST_CELLS:

@@ -125,7 +125,7 @@ class _Writing:
             if hinge.kind == "fixed":
                 continue
             if hinge.kind not in _JOINTS:
-                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; leave it out")
+                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; remove it")
             moves = True
             joint = self.write_joint(element, hinge.name, _JOINTS[hinge.kind], hinge.armature)
             if place is not at:
@@ -151,7 +151,7 @@ class _Writing:
             if isinstance(part, Body | Hinge):
                 continue
             if type(part) not in writers:
-                raise MechanicsError(f"{part.label}: MJCF does not have it; leave it out")
+                raise MechanicsError(f"{part.label}: MJCF does not support it; remove it")
             writers[type(part)](part)
 
     def set_of(self, label: str, joint: str, **values: float) -> None:
@@ -175,7 +175,7 @@ class _Writing:
         """Write a constant friction."""
         if friction.coefficient or friction.damping:
             raise MechanicsError(
-                f"{friction.label}: MJCF has constant friction only; give its damping to a torsion"
+                f"{friction.label}: MJCF has constant friction only; move its damping to a torsion"
             )
         self.set_of(friction.label, friction.hinge, frictionloss=friction.torque)
 
@@ -205,7 +205,7 @@ class _Writing:
         """Close a loop between sites: so it is as it is here, wherever MuJoCo's coordinates begin."""
         if joint.kind not in _LOOPS:
             raise MechanicsError(
-                f"{joint.label}: MJCF closes loops by balls and welds, not as {joint.kind}; give another"
+                f"{joint.label}: MJCF closes loops by ball and rigid only, not by {joint.kind}; choose one"
             )
         turn = np.eye(3)
         if joint.kind == "rigid":
@@ -230,8 +230,8 @@ class _Writing:
             fits = np.allclose(at_b, place, atol=_SAME) and np.allclose(rest_rotation, turn.T, atol=_SAME)
         if not (fits and all(np.array_equal(c, c[0] * alike) for c in (of.stiffness, of.damping))):
             raise MechanicsError(
-                f"{of.label}: MJCF has bushings only of balls and free bodies, equal in all directions and "
-                "at rest as built; leave it out"
+                f"{of.label}: MJCF supports only isotropic bushings of balls and free bodies, "
+                "at rest as built; remove it"
             )
         joint: str = a if hinge is None else hinge.name
         self.set_of(of.label, joint, stiffness=float(of.stiffness[0]), damping=float(of.damping[0]))
@@ -266,8 +266,8 @@ def _merge_nominal(bodies: dict[str, Body], inward: dict[str, Hinge]) -> dict[st
         one = Body(first, 0.0) if still else _composite(group)
         if not is_inertia(one.inertia[None] + _LEAST * np.eye(3))[0]:
             raise MechanicsError(
-                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, and that of "
-                "all bodies fixed to it breaks it, too; give one that a body has"
+                f"{body.label}: MuJoCo requires the triangle inequality, which its inertia and that of "
+                "all bodies fixed to it violate; give the inertia of a rigid body"
             )
         out |= {member.name: Body(member.name, 0.0) for member, _, _ in group} | {first: one}
     return out

@@ -114,7 +114,7 @@ class Model(Assembly):
             raise MechanicsError(f"integrator {label}: give one, as RungeKutta4() or DormandPrince(1e-9)")
         if not start.is_finite:
             raise MechanicsError(
-                "at the start energy or forces are no numbers; see functions of loads and forces"
+                "energy or forces at the start are not finite; check functions of loads and forces"
             )
         if not (isinstance(balance, int | float) and balance > 0.0):
             raise MechanicsError(f"balance {brief(balance)}: give a number above 0, as inf to accept any")
@@ -146,7 +146,7 @@ def model_of(
         if not isinstance(part, Acting):
             part = Acting()
         if part.conservative is part.load is part.damping is part.friction is None:
-            raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
+            raise MechanicsError(f"{element.label}: its bind() returns an empty Acting; set one field")
         acting[element.name] = part
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = join_rows(act.damping for act in acting.values() if act.damping)

@@ -76,7 +76,7 @@ class Motor(Named):
         places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
         if np.any(is_driven := np.isin(freedoms, tree.driven_v)):
             raise MechanicsError(
-                f'{self.label}: hinge "{names[int(np.argmax(is_driven))]}" is driven; leave it out'
+                f'{self.label}: hinge "{names[int(np.argmax(is_driven))]}" is driven; remove it'
             )
         units = np.array([bodies.unit(name) for name in names])
 

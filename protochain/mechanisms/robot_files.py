@@ -60,7 +60,7 @@ class Reading:
         if refused_kinds:
             kinds = ", ".join(f'{kind} ("{where}")' for kind, where in sorted(refused_kinds.items()))
             raise self.refuse(
-                f"it has what a mechanism has not: {kinds}; name the kinds in leave_out to go on without"
+                f"mechanisms do not support {kinds}; name these kinds in leave_out to skip them"
             )
 
 
@@ -110,7 +110,7 @@ def _body(reading: Reading, name: str, inertial: Element | None) -> Body:
     if is_inertia(inertia[None])[0] and (mass or not np.any(inertia)):
         return Body(name, mass, com, inertia)
     error_text = "inertia breaks the triangle inequality" if mass else "inertia has no mass"
-    text = f'{reading.name}: link "{name}": its {error_text}, so no body has it; it is used as it is'
+    text = f'{reading.name}: link "{name}": its {error_text}, so it is not physical; it is used unchanged'
     warnings.warn(text, InertiaWarning, stacklevel=4)
     return NominalBody(name, mass, com, inertia)
 
@@ -158,7 +158,7 @@ def root_of(reading: Reading, source: str | Path, tag: str = "") -> Element:
     except OSError as error:
         raise reading.refuse(f"{error.strerror or error}; give the name of a file") from None
     except (ElementTree.ParseError, UnicodeDecodeError, ValueError) as error:
-        raise reading.refuse(f"it is no XML: {error}; give a file as robots have it") from None
+        raise reading.refuse(f"it is not XML: {error}; give a URDF or MJCF file") from None
     if tag and root.tag != tag:
         raise reading.refuse(f"its root is <{root.tag}>, not <{tag}>; see from_urdf and from_mjcf")
     return root

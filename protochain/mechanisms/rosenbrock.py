@@ -46,7 +46,7 @@ class Rosenbrock(Integrator):
     def remedy(self) -> str:
         """Remedy for a time step that is too long."""
         closer = f"a shorter one, Rosenbrock({self.tolerance / 100:.1g})"
-        return f"take {closer}, or ImplicitMidpoint(), which keeps the energy of vibrations"
+        return f"use {closer}, or ImplicitMidpoint(), which conserves the energy of vibrations"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, in as many substeps as the tolerance requires.

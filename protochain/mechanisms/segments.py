@@ -66,7 +66,7 @@ class Beam:
             raise MechanicsError("beam: its length and its mass must be above zero")
         if self.rigid >= 0.5:
             raise MechanicsError(
-                f"beam: rigid {self.rigid:g} at each end leaves nothing to bend; give less", fault=Fault.BENDS
+                f"beam: rigid {self.rigid:g} at each end leaves no free part; give less", fault=Fault.BENDS
             )
 
     def stiffness(self, axis: str) -> float:
@@ -153,7 +153,7 @@ def add_beam(
     soft = [axis for axis in bends if beam.stiffness(axis) == 0.0]
     if soft:
         raise MechanicsError(
-            f'beam "{name}": it has no stiffness about {soft[0]}; give one, or leave it out',
+            f'beam "{name}": it has no stiffness about {soft[0]}; give one, or remove this axis',
             fault=Fault.NO_STIFFNESS,
         )
     label = f'beam "{name}": its damping'

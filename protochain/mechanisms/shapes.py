@@ -245,15 +245,15 @@ def _refuse(name: str, mask: np.ndarray, touches: Touches) -> None:
         k = int(np.argmax(mask))
         raise MechanicsError(
             f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise "
-            "the stiffness or take shorter steps"
+            "the stiffness or use shorter steps"
         )
 
 
 def _refuse_passage(name: str, ball: Integers, mask: np.ndarray) -> None:
     if np.any(mask):
         raise MechanicsError(
-            f"{name}: ball {ball[int(np.argmax(mask))]} passes through what it touches within a step; "
-            "take shorter steps"
+            f"{name}: ball {ball[int(np.argmax(mask))]} passes through its obstacle within a step; "
+            "use shorter steps"
         )
 
 
@@ -283,7 +283,7 @@ def _on_surface(bodies: Bodies, balls: Balls, surface: Surface, name: str) -> On
     body = bodies.number(surface.body, name)
     _refuse_own(balls, body, name)
     if not (balls.radius > 0.0).all():
-        raise MechanicsError(f"{name}: a point cannot lie in a surface; give every ball a radius")
+        raise MechanicsError(f"{name}: a ball without radius cannot touch a surface; give it a radius")
     vertices, faces = np.asarray(surface.vertices, dtype=float), np.asarray(surface.faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise MechanicsError(f"{name}: vertices must be (n, 3) and faces (m, 3)")
@@ -291,7 +291,7 @@ def _on_surface(bodies: Bodies, balls: Balls, surface: Surface, name: str) -> On
         raise MechanicsError(f"{name}: vertices must be finite, and faces integers")
     outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
     if outside.any():
-        raise MechanicsError(f"{name}: triangle {int(np.argmax(outside))} has a corner that is not there")
+        raise MechanicsError(f"{name}: triangle {int(np.argmax(outside))} has a corner that is not a vertex")
     corners = vertices[faces]
     sides = corners[:, 1:] - corners[:, :1]
     flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= 1e-12 * np.sum(sides**2, axis=(1, 2))

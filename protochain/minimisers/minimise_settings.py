@@ -19,7 +19,7 @@ TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a nu
 
 def _not_empty(text: str) -> str:
     if not text.strip():
-        raise refusal("restraint", "''", "give strengths, a restraint or a file, or leave it out")
+        raise refusal("restraint", "''", "give strengths, a restraint or a file, or omit it")
     return text
 
 
@@ -120,5 +120,5 @@ class StartSettings(Settings):
         if not 0 < self.spread < math.inf:
             raise ProtochainError(Argument("spread"), " ", Angle(self.spread), ": give an angle above 0")
         if self.n_starts == 1 and self.spread != defaults.SPREAD:
-            remedy = "; give ", Argument("n_starts"), " 2 or more, or leave it out"
-            raise ProtochainError(Argument("spread"), ": is of several starts", *remedy)
+            remedy = "; give ", Argument("n_starts"), " 2 or more, or omit it"
+            raise ProtochainError(Argument("spread"), ": applies to several starts only", *remedy)

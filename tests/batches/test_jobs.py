@@ -141,7 +141,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
         ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
-        ({"spread": 1.0}, "spread: is of several starts; give n_starts 2 or more, or leave it out"),
+   ({"spread": 1.0}, "spread: applies to several starts only; give n_starts 2 or more, or omit it"),
         *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "
            "use one start") for name, value in (("restraint", "5"), ("max_rmsd", 1.0))),
     ],

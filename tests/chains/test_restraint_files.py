@@ -265,7 +265,7 @@ def test_a_real_terminator_ends_the_file_and_others_are_refused(tmp_path):
         (f"{good}&rst iat=1,9, r3=1. /", "rising order"),
         (f"{good}&wt type='REST', value1=2. /", "line 2: namelist &wt is not implemented"),
         (f"{good}&rst iat=1,9", "line 2: namelist &rst has no end"),
-        (f"{good}&rst 5, iat=1,9 /", "belongs to no variable"),
+        (f"{good}&rst 5, iat=1,9 /", "is not assigned to a variable"),
         (f"{good}&rst iat=1,9, iresid=1 /", "iresid=1 needs a name"), (f"{good}&rst iat=-1,9 /", "igr1"),
         ("&rst iat=1,9, r1=1., r2=2., r3=3., r4=4. /", "; give r1 to r4, rk2 and rk3"),
         (f"{good}&rst iat=-1,2,3,4, igr1=4,5 /", "groups in dihedrals"),

@@ -197,7 +197,7 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
     assert len(json.loads(capsys.readouterr().out)["restraint"]) == 2
     assert "restraints_kj_mol" in (tmp_path / "sim" / "log.csv").read_text()
     assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
-    assert "leave it out" in refusal_as_said("minimise", source, "--restrain", "")
+    assert "omit it" in refusal_as_said("minimise", source, "--restrain", "")
 
 
 @pytest.mark.parametrize("edges", [None, np.arange(-190.0, 0.0, 10.0)])

@@ -95,7 +95,7 @@ def test_options_make_a_setup():
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
     only = setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
     assert only == ("none", ("A:3", "A:40")) == setup(disulfide=["none", "A:3-A:40"]).disulfide
-    with pytest.raises(ProtochainError, match='names no bond; leave it out, or disulfide="none" drops'):
+    with pytest.raises(ProtochainError, match='names no bond; remove it, or disulfide="none" drops'):
         Setup(disulfide=())
 
 

@@ -81,7 +81,7 @@ def test_a_folder_of_a_running_simulation_is_refused(tmp_path):
             thread.join()
 
     pc.simulate(c, e, watch=watch, **settings)
-    assert refusals == [f"{tmp_path}/run: another simulation is writing to this folder; give another"]
+    assert refusals == [f"{tmp_path}/run: another simulation is writing to this folder; choose another"]
     topology = mdtraj.Topology.from_openmm(c.structure.topology)
     frames = mdtraj.load(str(tmp_path / "run/trajectory.dcd"), top=topology)
     assert frames.n_frames == len(pd.read_csv(tmp_path / "run/log.csv")) == 31
@@ -361,7 +361,7 @@ def test_errors_of_the_extension_are_errors_of_mechanics(error, monkeypatch):
         raise error
 
     monkeypatch.setattr(mujoco, "MjModel", SimpleNamespace(from_xml_string=fails))
-    with pytest.raises(MechanicsError, match="MuJoCo does not read it"):
+    with pytest.raises(MechanicsError, match="MuJoCo cannot read it"):
         Mechanism.from_mjcf(f"<mujoco>{GEOM}</mujoco>")
 
 

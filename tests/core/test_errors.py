@@ -150,11 +150,11 @@ def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys)
     for name in (SAMPLE, "a.npz", "b.npy", "c.npz", "empty.npz", "run/checkpoint.npz", "run"):
         status, line = said(monkeypatch, capsys, "minimise", SAMPLE, "-o", "o.pdb", "--resume", name)
         assert status == 2 and line == (
-            f"protochain: {name}: is no checkpoint of a minimisation; give a file that an earlier run "
+            f"protochain: {name}: is not a checkpoint of a minimisation; give a file that an earlier run "
             "wrote as its checkpoint"
         )
-    with pytest.raises(pc.ProtochainError, match="no checkpoint of a minimisation"):
+    with pytest.raises(pc.ProtochainError, match="not a checkpoint of a minimisation"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), resume=SAMPLE)
     (tmp_path / "run" / "checkpoint.npz").write_text("nothing of use\n")
     status, line = said(monkeypatch, capsys, "simulate", SAMPLE, "-o", "run", "--resume")
-    assert status == 2 and "run/checkpoint.npz: is no checkpoint of a simulation; start again" in line
+    assert status == 2 and "run/checkpoint.npz: is not a checkpoint of a simulation; start again" in line

@@ -293,7 +293,7 @@ def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_pat
 def test_settings_of_a_checkpoint_that_are_no_mapping_are_refused(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, text=np.array(json.dumps({"settings": 1.5, "values": {}})))
-    with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
+    with pytest.raises(pc.ProtochainError, match="is not a checkpoint"):
         checkpoint(path, {"task": "x"}, "run").__enter__()
 
 

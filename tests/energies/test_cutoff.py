@@ -81,7 +81,7 @@ def test_a_cutoff_within_which_atoms_touch_is_refused_by_every_engine(engine):
     """OpenMM took 0.1 nm, and gave -10,650 kJ/mol for -2,414."""
     for given in (0.1, "0.1", 0.499):
         with pytest.raises(
-            ProtochainError, match=r"^cutoff 0\.\d+ nm: cuts off atoms .* give 0\.5 nm or more"
+            ProtochainError, match=r"^cutoff 0\.\d+ nm: is shorter than contacts .* give 0\.5 nm or more"
         ):
             pc.energy(load("1l2y.pdb"), engine=engine, cutoff=given)
     assert "cutoff 0.5 nm" in Setup(cutoff="0.5", engine=engine).energy(load("1l2y.pdb")).reason

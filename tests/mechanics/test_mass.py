@@ -375,7 +375,7 @@ def test_fixman_s_method_is_right_or_refused_whatever_the_masses(e):
         assert log_det_mass(*given[:2], "fixman") == pytest.approx(log_det_mass(*given[:2]), rel=1e-10)
     else:
         refused = pytest.raises(
-            MechanicsError, match=r"Fixman's method is wrong by .* use method articulated"
+            MechanicsError, match=r"Fixman's method has a relative error of .* use method articulated"
         )
         with refused:
             solve_mass(*given, "fixman")

@@ -158,7 +158,7 @@ def test_a_tree_that_makes_no_sense_is_refused(change, words):
 
 def test_a_hinge_that_turns_nothing_is_refused():
     mass, com, inertia = rod()
-    with pytest.raises(MechanicsError, match="body 0: all mass beyond its hinge lies on the hinge's axis"):
+    with pytest.raises(MechanicsError, match="body 0: all mass beyond its hinge is on the hinge's axis"):
         Tree(
             np.array([-1]),
             np.array([HingeKind.REVOLUTE]),

@@ -108,7 +108,7 @@ def test_the_drive_of_a_hub_does_the_work_of_its_beam():
 def test_what_cannot_bend_is_refused():
     system = links()
     for integrator in (Leapfrog(), ImplicitMidpoint()):
-        with pytest.raises(MechanicsError, match="takes no bodies that bend; take Runge-Kutta"):
+        with pytest.raises(MechanicsError, match="does not support bodies that bend; use Runge-Kutta"):
             integrator.step(system, system.at(*START), 0.01)
     with pytest.raises(MechanicsError, match="on the tree of the system"):
         BendingSystem(random_tree(2, 0), nothing, flexible=two_links())

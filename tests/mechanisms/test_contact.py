@@ -352,7 +352,7 @@ def test_what_has_diverged_is_said_to_and_blames_no_hinge():
         lambda: multibody.forward_dynamics(tree, nowhere, np.zeros(tree.n_v), np.zeros(tree.n_v)),
         lambda: multibody.solve_mass(tree, multibody.pose(tree, nowhere), np.zeros(tree.n_v)),
     ):
-        with pytest.raises(MechanicsError, match=r"body 0: its place is no number.*diverged"):
+        with pytest.raises(MechanicsError, match=r"body 0: its position is not finite.*diverged"):
             call()
 
 
@@ -422,5 +422,5 @@ def test_no_ball_passes_through_a_surface_whatever_the_step(integrator):
 
 
 def test_no_ball_passes_through_another_within_a_step():
-    with pytest.raises(MechanicsError, match=r'contact "c": ball 0 passes through .* take shorter steps'):
+    with pytest.raises(MechanicsError, match=r'contact "c": ball 0 passes through .* use shorter steps'):
         flying(50.0, [Ball("b", 0.05)], (0, 0, 0.7)).simulate(0.1, 0.04, RungeKutta4())

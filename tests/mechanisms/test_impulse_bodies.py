@@ -142,5 +142,5 @@ def test_loops_have_no_stress():
     state = m.build().state()
     blow = {0: ((0.5, 0, 0), (0, 1.0, 0))}
     found = impact(state.factors, state.qd, [], loops=state.loops, external=blow)
-    with pytest.raises(MechanicsError, match="rows of loops do not say where"):
+    with pytest.raises(MechanicsError, match="rows of loops do not locate"):
         impulse_stress(state.factors, state.qd, found, [], blow)

@@ -287,7 +287,7 @@ def test_a_spring_with_a_length_at_rest_and_none_as_built_is_refused():
     m = Mechanism()
     m.body("a", 1.0, inertia=1.0)
     m.spring("s", ("a", (0, 0, 0)), ("world", (0, 0, 0)), stiffness=1.0, rest=1.0)
-    with pytest.raises(MechanicsError, match=r'spring "s": its ends meet as built.*rest=0'):
+    with pytest.raises(MechanicsError, match=r'spring "s": its ends coincide as built.*rest=0'):
         m.build()
 
 

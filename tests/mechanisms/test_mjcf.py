@@ -134,7 +134,7 @@ def test_loops_are_closed_as_mujoco_wants_them(kind, angle):
 
 def test_a_rotation_of_another_kind_of_loop_is_refused():
     m = Mechanism()
-    with pytest.raises(MechanicsError, match="rotation belongs to kind rigid"):
+    with pytest.raises(MechanicsError, match="rotation applies to kind rigid"):
         m.close("c", ("a", (0, 0, 0)), ("b", (0, 0, 0)), "revolute", rotation=np.eye(3))
 
 

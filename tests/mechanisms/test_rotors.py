@@ -119,7 +119,7 @@ def test_a_free_body_has_armature_without_weight():
         (lambda m: m.body("c", 1.0, inertia=1.0, armature=-1), 'body "c": its armature'),
         (
             lambda m: (m.body("c", 1.0, inertia=1.0, armature=1), m.hinge("x", "b", "c"), m.build()),
-            'body "c": armature is of free bodies only',
+            'body "c": armature applies to free bodies only',
         ),
     ],
 )

@@ -110,7 +110,7 @@ def test_small_motions_of_a_pendulum_and_of_a_free_body_on_a_spring():
     ("fields", "words"),
     [
         ({"length": 0.0}, "must be above zero"), ({"mass": -1.0}, "none below zero"),
-        ({"rigid": 0.5}, "leaves nothing to bend"), ({"bending": (1.0, -1.0)}, "none below zero"),
+        ({"rigid": 0.5}, "leaves no free part"), ({"bending": (1.0, -1.0)}, "none below zero"),
         ({"bending": np.nan}, "finite"),
     ],
 )  # fmt: skip

@@ -156,7 +156,7 @@ def test_an_array_that_claims_more_than_the_file_holds_is_not_made(tmp_path):
                 head, {"descr": "<f8", "fortran_order": False, "shape": shape}
             )
             file.writestr(f"{len(shape)}{shape[0]}.npy", head.getvalue() + bytes(32))
-    with pytest.raises(pc.ProtochainError, match="is no checkpoint of a run; give another"):
+    with pytest.raises(pc.ProtochainError, match="is not a checkpoint of a run; give another"):
         checkpoint(path, {}, "run", "give another").__enter__()
 
 
@@ -164,5 +164,5 @@ def test_a_packed_archive_is_no_checkpoint(tmp_path):
     path = tmp_path / "run.npz"
     np.savez_compressed(path, q=np.zeros(10_000_000), text=np.array('{"settings": {}, "values": 1}'))
     assert path.stat().st_size < 100_000
-    with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
+    with pytest.raises(pc.ProtochainError, match="is not a checkpoint"):
         checkpoint(path, {}, "run").__enter__()

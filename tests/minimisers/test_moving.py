@@ -146,7 +146,7 @@ def test_atoms_that_move_by_hinges_are_counted_with_those_beyond():
         (lambda s: pc.simulate(s, move="sidechain"), r"pc\.build_chain\(structure, move=\.\.\.\) takes it"),
         (lambda s: pc.minimise(s, solvent="gbn2"), r"pc\.energy\(structure, solvent=\.\.\.\) takes it"),
         (lambda s: pc.build_chain(s, keep="all"), r"pc\.load\(file, keep=\.\.\.\) takes it"),
-        (lambda s: pc.load("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) takes chains of a file"),
+        (lambda s: pc.load("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) reads chains of a file"),
         (lambda s: pc.as_structure("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) takes"),
         (lambda s: pc.minimise(s, chain="A"), r"pc\.load\(file, chains='A'\) takes"),
     ],

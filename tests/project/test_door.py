@@ -199,7 +199,7 @@ def test_what_makes_no_sense_is_refused_in_one_line_that_names_it(name, argument
         (lambda: pc.Pull("A:1:N-A:10:C", speed=1 * unit.kelvin), "speed is in kelvin; give it in nanometer"),
         (lambda: pc.simulate(C(), vacuum(), resume="folder"), "resume 'folder': give True or False"),
         (lambda: pc.EveryFrame(FILE), "give an MDAnalysis Universe or AtomGroup"),
-        (lambda: pc.pose(S(), C().q0), "give a Chain, as of pc.build_chain"),
+        (lambda: pc.pose(S(), C().q0), "give a Chain, for example from pc.build_chain"),
         (lambda: pc.ca_rmsd(S(), load("1l2y.pdb").positions, S()), "x has shape (304, 3), not (103, 3)"),
         (lambda: pc.ca_rmsd(S(), load("1l2y.pdb"), S()), "other atoms than ala10; pc.rmsd matches"),
         (lambda: pc.build_chain(S(), hinges=["phi", "fi"]), "hinges 'fi' is not a kind of hinge"),

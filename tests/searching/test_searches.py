@@ -262,7 +262,7 @@ def test_pieces_are_read_as_they_were_written(peptide, tmp_path):
     with pytest.raises(pc.ProtochainError, match="seed 0, not 1"):
         read_piece(tmp_path / "a.npz", method.state, {"search": "tempering", "seed": 1})
     (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:-200])
-    with pytest.raises(pc.ProtochainError, match=r"is no checkpoint of a search; .*force"):
+    with pytest.raises(pc.ProtochainError, match=r"is not a checkpoint of a search; .*force"):
         read_piece(tmp_path / "a.npz", method.state, {"search": "tempering"})
 
 

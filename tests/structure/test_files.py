@@ -377,12 +377,12 @@ def endless(request, tmp_path):
     ],
 )
 def test_what_is_no_file_is_refused_unread(call, endless):
-    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is not a regular file; give the name of one$"):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is not a regular file; give a regular file$"):
         call(endless)
 
 
 def test_what_is_no_file_is_no_checkpoint(endless):
-    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is no checkpoint of a minimisation"):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is not a checkpoint of a minimisation"):
         pc.minimise(pc.build_chain(load("ala10.pdb")), energy("ala10.pdb"), resume=endless)
 
 

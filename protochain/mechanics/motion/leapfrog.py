@@ -68,7 +68,7 @@ class Leapfrog(Integrator):
         system = canonical(system, "leapfrog")
         if system.depends_on_velocity:
             raise MechanicsError(
-                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+                "the leapfrog requires loads without velocities; use the midpoint rule or Rosenbrock"
             )
         kicked = system.kick(at, *self._drift_by_factors(system, at, time_step), time_step)
         if system.constraint is None:

@@ -23,7 +23,7 @@ class RungeKutta4(Integrator):
     @property
     def remedy(self) -> str:
         """Remedy for a time step that is too long."""
-        return "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
+        return "use a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
@@ -51,7 +51,7 @@ class DormandPrince(Integrator):
     @property
     def remedy(self) -> str:
         """Remedy for a time step that is too long."""
-        return f"take DormandPrince({self.tolerance / 100:.1g}), or for stiff dampers Rosenbrock()"
+        return f"use DormandPrince({self.tolerance / 100:.1g}), or for stiff dampers Rosenbrock()"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, in as many substeps as the tolerance requires.

@@ -56,6 +56,6 @@ def in_substeps(
             factor = 0.9
         part *= 5.0 if size == 0.0 else factor
     raise StepTooLargeError(
-        f"{n_most} substeps make only {elapsed / time_step:.1g} of the time step: something is too stiff for "
+        f"{n_most} substeps cover only {elapsed / time_step:.1g} of the time step: it is too stiff for "
         "this method or its tolerance"
     )

@@ -174,7 +174,7 @@ class Integrator(Protocol):
     @property
     def remedy(self) -> str:
         """Remedy for a time step that is too long."""
-        return "take a shorter one"
+        return "use a shorter one"
 
     def init(self, system: "Equations", q: Floats, qd: Floats) -> Phase:
         """Return the phase at q (n_q,) with velocities qd (n_v,)."""
@@ -197,7 +197,7 @@ class Integrator(Protocol):
 def refuse_departure(system: "Equations", q: Floats, start: Floats) -> None:
     """Raise if a step back has other coordinates than the start of the step."""
     if not np.max(np.abs(q - start) / system.coordinate_units, initial=0.0) < RETURNED:
-        raise StepTooLargeError("the time step cannot be taken back")
+        raise StepTooLargeError("the time step cannot be reversed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,9 +236,9 @@ class Equations:
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
             raise MechanicsError(
-                "the tree has driven hinges, but the system no drive to say how they move"
+                "the tree has driven hinges, but the system has no drive for them"
                 if self.drive is None
-                else "the system has a drive, but the tree no driven hinge"
+                else "the system has a drive, but the tree has no driven hinge"
             )
 
     @property
@@ -450,11 +450,11 @@ def total(parts: list[Potential]) -> Potential:
 
 def canonical(equations: Equations, name: str) -> System:
     """Return them, for an integrator that moves by momenta of rigid bodies."""
-    remedy = "take Runge-Kutta, Dormand-Prince or Rosenbrock"
+    remedy = "use Runge-Kutta, Dormand-Prince or Rosenbrock"
     if not isinstance(equations, System):
-        raise MechanicsError(f"the {name} takes no {equations.beyond}; {remedy}")
+        raise MechanicsError(f"the {name} does not support {equations.beyond}; {remedy}")
     if equations.drive is not None:
-        raise MechanicsError(f"the {name} takes no driven hinges; {remedy}")
+        raise MechanicsError(f"the {name} does not support driven hinges; {remedy}")
     if len(equations.tree.balls):
-        raise MechanicsError(f"the {name} takes no ball hinges; {remedy}")
+        raise MechanicsError(f"the {name} does not support ball hinges; {remedy}")
     return equations

@@ -132,7 +132,7 @@ def refuse_singular(failed: int, pose: Floats) -> None:
     if failed >= 0 and not np.isfinite(pose).all():
         raise BodyError(
             failed,
-            "its place is no number; if it was one before, the motion has diverged: take shorter steps",
+            "its position is not finite; if it was finite before, the motion has diverged: use shorter steps",
         )
     if failed >= 0:
         raise BodyError(failed, "its hinge has no inertia at this pose, so accelerations are undefined")

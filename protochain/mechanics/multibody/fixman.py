@@ -58,8 +58,8 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     if np.any(thin):
         raise BodyError(
             int(np.argmax(thin)),
-            "a point or a line has no inverse inertia, and what is nearly one none "
-            "of use; share the mass of an atom on its hinge's axis with it, or use method articulated",
+            "a body that is (nearly) a point or a line has no usable inverse inertia; "
+            "share the mass of an atom on its hinge's axis with it, or use method articulated",
             Fault.NO_INVERSE,
         )
     inverse = _inverse_inertias(tree, frames)
@@ -117,8 +117,8 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
             break
     if not change <= _REFINED:
         raise MechanicsError(
-            f"Fixman's method is wrong by {change:.1g} of the solution, as masses or inertias of the bodies "
-            "are too far apart; use method articulated",
+            f"Fixman's method has a relative error of {change:.1g}, as masses or inertias of the bodies "
+            "differ too much; use method articulated",
             fault=Fault.NO_INVERSE,
         )
     return x

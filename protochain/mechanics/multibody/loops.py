@@ -108,6 +108,6 @@ def factor_closed(inverse: Floats) -> tuple[Floats, bool]:
             raise LinAlgError
     except LinAlgError:
         raise MechanicsError(
-            "the constraint rows are linearly dependent; leave the redundant ones out", fault=Fault.DEPENDENT
+            "the constraint rows are linearly dependent; remove the redundant ones", fault=Fault.DEPENDENT
         ) from None
     return factor, lower

@@ -322,7 +322,7 @@ def _check_topology(tree: Tree) -> None:
         and np.all(tree.offset[axes] == 0.0)
         and np.all(tree.placement[axes] == BALL_PLACEMENT)
     ):
-        raise BodyError(int((*first, *axes)[0]), "a ball is three bodies in one place; see Tree")
+        raise BodyError(int((*first, *axes)[0]), "a ball requires three bodies at one point; see Tree")
 
 
 def _check_driven(tree: Tree) -> NDArray[np.bool_] | None:
@@ -354,7 +354,7 @@ def _check_inertia(tree: Tree) -> None:
     turned = np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
     skew = turned > 1e-9 * np.abs(tree.inertia).max(axis=(1, 2), initial=0.0)
     is_wrong = skew | ~(is_inertia(tree.inertia) | nominal)
-    _refuse(is_wrong, "its inertia is not that of any rigid body")
+    _refuse(is_wrong, "its inertia is impossible for a rigid body")
     assert tree.armature is not None
     _refuse(tree.armature < 0, "its armature {:g} must not be negative", tree.armature)
     moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven & (tree.armature == 0.0)
@@ -366,7 +366,7 @@ def _check_inertia(tree: Tree) -> None:
     )
     _refuse(
         moves & _turns_nothing(tree),
-        "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
+        "all mass beyond its hinge is on the hinge's axis, so it has no inertia; make the hinge FIXED",
         fault=Fault.NO_INERTIA,
     )
 

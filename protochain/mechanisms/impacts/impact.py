@@ -234,8 +234,8 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
         sure = bound_of(struck.w)
         below = f" (below {sure:.2g} there is one)" if sure else ""
         raise MechanicsError(
-            f"contact {worst.name!r}: friction {worst.friction:g} is too high for one solution together with "
-            f"the others; lower it{below}, or take the points in turn",
+            f"contact {worst.name!r}: friction {worst.friction:g} is too high for a unique solution with "
+            f"the others; lower it{below}, or choose order in turn",
             fault=Fault.FRICTION,
         )
     return out
@@ -263,10 +263,10 @@ def _coefficients(points: Sequence[ContactPoint]) -> tuple[Floats, Floats]:
 
 def _refuse(status: int, point: ContactPoint) -> None:
     reasons = {
-        impulse_path.IMMOVABLE: "nothing that touches there can move along its normal; leave it out",
+        impulse_path.IMMOVABLE: "neither body can move along its normal; remove this contact",
         impulse_path.JAMMED: f"it sticks, by friction {point.friction:g}, and cannot leave as "
         "Newton's law asks; choose law poisson or stronge",
-        impulse_path.LOST: "its path has no end within the steps allowed; lower its friction",
+        impulse_path.LOST: "its path does not end within the allowed steps; lower its friction",
     }
     faults = {impulse_path.IMMOVABLE: Fault.IMMOVABLE, impulse_path.JAMMED: Fault.JAMMED}
     if status in reasons:

@@ -54,11 +54,11 @@ def impulse_stress(
     O(n).
     """
     if not isinstance(factors, Articulated):
-        raise MechanicsError("impulse stress: shapes of bodies that bend do not say where forces pass")
+        raise MechanicsError("impulse stress: shapes of flexible bodies do not locate the forces")
     tree, frames, bodies = factors.tree, factors.frames, RigidBodies(factors)
     if len(found.loops):
         raise MechanicsError(
-            "impulse stress: rows of loops do not say where their joints bear; leave loops out, or close "
+            "impulse stress: rows of loops do not locate the joint forces; remove the loops, or close "
             "them by points"
         )
     loads, out = np.zeros((tree.n_bodies, 6)), np.zeros((tree.n_bodies, 3, 3))
