@@ -77,7 +77,7 @@ def run(name: str | None, inputs: Sequence[Path], output: Path, quick: bool, **o
     check_writable(output / "any.csv")
     for source in inputs:
         if output.resolve() in source.resolve().parents:
-            raise ProtochainError(f"{source}: lies in the folder for the results; give another with -o")
+            raise ProtochainError(f"{source}: is inside the output folder; give another with -o")
     if name in studies.STUDIES:
         return _study(name, inputs, output, {"quick": quick, **own})
     if own or inputs:

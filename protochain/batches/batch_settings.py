@@ -35,7 +35,7 @@ def store_settings(
         records = recorded | records
     elif _holds_results(folder / table):
         raise ProtochainError(
-            f"{folder}: holds results without {NAME}: their settings are not known; give another folder"
+            f"{folder}: contains results without {NAME}: their settings are unknown; give another folder"
         )
     text = json.dumps({"settings": settings, "structures": records}, indent=1, allow_nan=False)
     write_text(path, text)
@@ -87,7 +87,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
         settings, structures = dict(text["settings"]), dict(text["structures"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ProtochainError(
-            f"{path}: holds no settings of a batch ({error}); give another folder"
+            f"{path}: contains no settings of a batch ({error}); give another folder"
         ) from None
     return settings, structures
 
@@ -97,8 +97,8 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
         old, new = before.get(name), now.get(name)
         if old != new:
             raise ProtochainError(
-                f"{folder}: holds results{whose} {_difference(name, old, new)}; repeat the settings, or give "
-                "another folder"
+                f"{folder}: contains results{whose} {_difference(name, old, new)}; repeat the settings, or "
+                "give another folder"
             )
 
 

@@ -246,8 +246,8 @@ def run_batch(
     differing = next((job for job in jobs if job.settings.methods != common.methods), None)
     if differing and name != SUMMARY:
         raise ProtochainError(
-            f"{manifest}: {differing.path}: methods {','.join(differing.settings.methods)}: {name}.csv is of "
-            f"{','.join(common.methods)} alone; protochain batch takes a manifest with methods"
+            f"{manifest}: {differing.path}: methods {','.join(differing.settings.methods)}: {name}.csv "
+            f"is for {','.join(common.methods)} only; use protochain batch for a manifest with methods"
         )
     scores = any(RELAX in job.settings.methods and job.settings.relaxing.interface for job in jobs)
     methods = {method for job in jobs for method in job.settings.methods}

@@ -164,7 +164,7 @@ def shared_file(values: tuple[Any, ...], folder: Path | None = None) -> Iterator
                 path.write_bytes(pickle.dumps(values))
         except (pickle.PicklingError, AttributeError, TypeError):
             raise ProtochainError(
-                Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",
+                Argument("energy"), ": cannot be sent to processes; define it in a module, or remove ",
                 Argument("workers"),
             ) from None  # fmt: skip
         yield path
@@ -184,7 +184,7 @@ def _connect(scheduler: str) -> Iterator["Client"]:
         security = dask.Security() if scheduler.startswith("tls://") else None
         client = dask.Client(scheduler, security=security, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
-        raise ProtochainError(f"scheduler {scheduler}: no cluster answers there: {error}") from error
+        raise ProtochainError(f"scheduler {scheduler}: no cluster responds: {error}") from error
     with client:
         _await_workers(client, scheduler)
         _check_versions(client, scheduler)

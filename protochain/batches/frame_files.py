@@ -132,7 +132,7 @@ def _complete(
     has_frames = [frame for frame, *_ in rows] == [*map(str, frames.chosen)]
     if not has_frames or (written and trajectory and not trajectory.exists()):
         raise ProtochainError(
-            f"{table}: is of another run, or lacks what it wrote; give another output, or begin anew with ",
+            f"{table}: belongs to another run, or is incomplete; give another output, or start again with ",
             Argument("force", True),
         )
     topology = None if trajectory is None or _in_text(trajectory) else _topology_path(trajectory, ensemble)
@@ -175,12 +175,12 @@ class _Files:
     def _read_checkpoint(self, resume: bool, force: bool) -> Mapping[str, Any]:
         """State of an interrupted run, or of a new run."""
         if self.checkpoint.exists() and resume:
-            remedy = "give another output, or begin anew with ", Argument("force", True)
+            remedy = "give another output, or start again with ", Argument("force", True)
             with checkpoint(self.checkpoint, self.settings, "run over frames", *remedy) as read:
                 state: dict[str, Any] = {name: read.count(name) for name in ("rows", "sound", "bytes")}
                 state |= {name: read.values[name] for name in ("trajectory", "counts")}
                 if sum(map(Checkpoint({}, state["counts"]).count, state["counts"])) != state["rows"]:
-                    raise ValueError("numbers that do not fit each other")
+                    raise ValueError("inconsistent numbers")
             if not state["rows"]:
                 return _NOTHING
             content = b""
@@ -188,10 +188,10 @@ class _Files:
                 with self.table.open("rb") as file:
                     content = file.read(state["bytes"])
             if not content.endswith(b"\n") or content.count(b"\n") != state["rows"] + 1:
-                raise ProtochainError(f"{self.table}: has other rows than its checkpoint; ", *remedy)
+                raise ProtochainError(f"{self.table}: its rows differ from its checkpoint; ", *remedy)
             return state
         if self.checkpoint.exists() and not force:
-            anew = ", ", Argument("force", True), " begins anew"
+            anew = ", ", Argument("force", True), " starts again"
             raise refuse_earlier(self.table, "an interrupted run", *anew)
         return _NOTHING
 
@@ -239,7 +239,7 @@ class _Files:
         s, n = self.ensemble.structure, self.trajectory.n_frames
         if n * s.n_atoms > _MOST_IN_TEXT:
             raise ProtochainError(
-                f"{self.output}: {n} models of {s.n_atoms} atoms are made in memory; give .xtc or .dcd"
+                f"{self.output}: {n} models of {s.n_atoms} atoms do not fit in memory; give .xtc or .dcd"
             )
         return [
             s.with_positions(frame.x) for frame in open_frames(self.trajectory.part) if frame.x is not None

@@ -84,7 +84,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         names = [recipe.name for recipe in recipes] + [RELAX] * (RELAX in self.methods)
         if len(set(names)) < len(names):
             raise ProtochainError(
-                f"methods {', '.join(self.methods)}: two have one name; their files would too"
+                f"methods {', '.join(self.methods)}: two have one name, and so would their files"
             )
         for recipe in recipes:
             Minimisation(recipe, **self.minimising)
@@ -142,7 +142,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         name = next((name for name in names if name in idle), None)
         if name is not None:
             raise ProtochainError(
-                Argument(name), f": is no setting of {', '.join(self.methods)}; leave it out, or give other ",
+                Argument(name), f": does not apply to {', '.join(self.methods)}; remove it, or choose other ",
                 Argument("methods"),
             )  # fmt: skip
 
@@ -328,9 +328,7 @@ def find_jobs(
     inputs_found = list(unique.values())
     for path in (*(job_input.path for job_input in inputs_found), *([manifest] if manifest else [])):
         if _is_inside(path, output):
-            raise ProtochainError(
-                f"{path}: lies in the folder for the results; give them a folder of their own"
-            )
+            raise ProtochainError(f"{path}: is inside the output folder; choose another output folder")
     prefix = f"{manifest}: " if manifest else ""
     if not inputs_found:
         raise ProtochainError(f"{prefix}no structures found; give files, folders or patterns")
@@ -371,7 +369,7 @@ def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
     elif Path(source).is_dir():
         if output and (absolute(Path(source)) == absolute(output) or _is_inside(Path(source), output)):
             raise ProtochainError(
-                f"{source}: is the folder for the results, or lies in it; give them a folder of their own"
+                f"{source}: is the output folder or inside it; choose another output folder"
             )
         matches = sorted(path for path in Path(source).rglob("*") if _is_structure(path))
         yield from ((path, Path(source)) for path in matches if not _is_inside(path, output))
@@ -432,7 +430,7 @@ def _poses(job_input: _JobInput) -> list[_JobInput]:
         return [job_input]
     sources = poses(Path(group))
     if not sources:
-        raise ProtochainError(f"{group}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
+        raise ProtochainError(f"{group}: contains no poses; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
     other_ligands = tuple(part for part in ligands if part != ("", group))
     return [
         replace(

@@ -174,7 +174,7 @@ def run_scan(
     rows: Rows = []
     # Read the finished rows of an interrupted scan.
     if checkpoint_file.exists() and resume:
-        remedy = "give another output, or leave out ", Argument("resume", True)
+        remedy = "give another output, or remove ", Argument("resume", True)
         with checkpoint(checkpoint_file, settings, "scan", *remedy):
             pass  # Only to compare the settings.
         if table.exists():

@@ -116,7 +116,7 @@ class Tables:
         # Two tables in a folder would share settings and traces.
         if other_table.exists():
             self.close()
-            raise ProtochainError(f"{other_table}: holds a batch; give another folder; ", *REPLACE)
+            raise ProtochainError(f"{other_table}: contains a batch; give another folder; ", *REPLACE)
         if not (self.summary in self._new or resume):
             self.close()
             raise refuse_earlier(self.summary, "a batch")

@@ -89,7 +89,7 @@ def compare(
     for recipe in map(recipe_of, methods):
         if recipes.setdefault(recipe.name, recipe) != recipe:
             raise ProtochainError(
-                f"two methods are called {recipe.name!r}; give each its name: Recipe(name, (Run(method),))"
+                f"two methods are named {recipe.name!r}; rename one: Recipe(name, (Run(method),))"
             )
     if not recipes:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")

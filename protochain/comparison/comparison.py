@@ -104,7 +104,7 @@ class Comparison:
 
     def message(self, solution: Solution) -> str:
         """Message of a solution, with a note if it has no file."""
-        none = "; nothing is better than the start: no structure is written"
+        none = "; no result is better than the start: no structure is written"
         return solution.message + ("" if solution.is_usable else none)
 
     @cached_property

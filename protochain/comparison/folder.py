@@ -25,12 +25,12 @@ def check_folder(folder: Path, force: bool) -> None:
     foreign_files = [name for name in _OF_OTHERS if (folder / name).exists()]
     if foreign_files:
         raise ProtochainError(
-            f"{folder}: holds a batch or simulation ({foreign_files[0]}); give another folder"
+            f"{folder}: contains a batch or simulation ({foreign_files[0]}); give another folder"
         )
     existing = [name for name in (_PAGE, *names()) if (folder / name).exists()]
     if existing and not force:
         raise ProtochainError(
-            f"{folder}: holds a comparison ({existing[0]}); give another folder, or ",
+            f"{folder}: contains a comparison ({existing[0]}); give another folder, or ",
             Argument("force", True),
             " to replace it",
         )

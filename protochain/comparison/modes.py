@@ -212,7 +212,7 @@ class NormalModes(Value):
         kt = MOLAR_GAS * checked_temperature(temperature)
         if not self.is_stable:
             raise ProtochainError(
-                f"{self.chain.structure.name}: mode 0 has {self.frequencies[0]:.3g} 1/cm, and no "
+                f"{self.chain.structure.name}: mode 0 has {self.frequencies[0]:.3g} 1/cm, so there is no "
                 "equilibrium; minimise it, or connect its parts"
             )
         squares = np.zeros(self.chain.n_atoms)
@@ -340,7 +340,7 @@ class NormalModes(Value):
         change = _without_rigid(change, start_positions)
         size = np.linalg.norm(change)
         if not size > _STILL:
-            raise ProtochainError(f"{target.name}: is no other structure than {start.name}; nothing changes")
+            raise ProtochainError(f"{target.name}: has the positions of {start.name}; give another")
         return modes, change / size
 
     def entropy(self, temperature: float = TEMPERATURE, quantum: bool = True) -> float:
@@ -373,8 +373,8 @@ class NormalModes(Value):
         if self.spectrum is None or not self.spectrum[0] > 0.0:
             dense = Argument("method", "dense")
             raise ProtochainError(
-                "the entropy is that of all modes, and only some were found; give ", dense,
-                ", and of more than 2000 freedoms quantum=False",
+                "the entropy requires all modes, but only some were computed; give ", dense,
+                ", and above 2000 freedoms quantum=False",
             )  # fmt: skip
         x = hbar / kt * np.sqrt(self.spectrum)
         return MOLAR_GAS * float(np.sum(x / np.expm1(x) - np.log(-np.expm1(-x))))

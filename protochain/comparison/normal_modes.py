@@ -193,7 +193,7 @@ def normal_modes(
     inertia = Inertia(chain, at, rigid_motions.T)
     n = len(inertia.freedoms)
     if n == 0:
-        raise ProtochainError(f"{chain.structure.name}: nothing moves in it but the whole; open more hinges")
+        raise ProtochainError(f"{chain.structure.name}: it has no internal motion; open more hinges")
     analytic = applies(torques.energy)
     _refuse_many(chain, n, analytic and method != "products")
     dense = method == "dense" or (method == "auto" and (analytic or n <= DENSE))
@@ -228,9 +228,9 @@ def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
     """Raise an error for more freedoms than fit into memory and an hour."""
     limit = ANALYTIC if analytic else MOST
     if n > limit:
-        alternative = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
+        alternative = "" if analytic else ", or use OBC2 without a cutoff, whose Hessian is analytic"
         raise ProtochainError(
-            f"{chain.structure.name}: modes of {n} freedoms, of at most {limit}; open fewer hinges"
+            f"{chain.structure.name}: {n} freedoms exceed the limit of {limit}; open fewer hinges"
             f"{alternative}"
         )
 
@@ -401,7 +401,7 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     if np.max(eigenpairs.residuals) > RESIDUAL:
         raise ProtochainError(
             f"{inertia.chain.structure.name}: the modes did not converge: a residual is "
-            f"{np.max(eigenpairs.residuals):.1g} for {RESIDUAL:g}; ask for more of them, or for the "
+            f"{np.max(eigenpairs.residuals):.1g} above {RESIDUAL:g}; compute more modes, or use the "
             "dense method"
         )
     return eigenpairs

@@ -151,7 +151,7 @@ class Closure:
                 f"than their tolerance of {CLOSED_NM:g} nm; move the structure to the origin",
                 fault=Fault.FAR,
             )
-        raise StepTooLargeError("no impulses keep the loops closed over the time step")
+        raise StepTooLargeError("no impulses close the loops at the end of the time step")
 
 
 def closure_of(chain: Chain, q: Floats | None = None) -> Closure:

@@ -44,7 +44,7 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
         raise refuse_earlier(path, f"a simulation ({existing[0]})")
     if resume and not (path / CHECKPOINT).exists():
         raise ProtochainError(
-            f"{path}: holds no {CHECKPOINT} to resume from; leave out ", Argument("resume", True)
+            f"{path}: contains no {CHECKPOINT} to resume from; remove ", Argument("resume", True)
         )
 
 

@@ -115,13 +115,13 @@ def check_pull(pull: Pull, chain: Chain) -> None:
     groups = [{-2 if fixed[b] else b for b in row if b >= 0} for row in of_atoms.tolist()]
     if set.intersection(*groups):
         raise ChainError(
-            f"{chain.structure.name}: pull {pull}: no hinge changes this distance, within one rigid body; "
+            f"{chain.structure.name}: pull {pull}: both are in one rigid body, so no hinge acts on it; "
             "give places farther apart, or open more hinges"
         )
     mass, x = chain.structure.atom_mass, chain.structure.positions
     a, b = (np.average(x[atoms], axis=0, weights=mass[atoms]) for atoms in (first, second))
     if float(np.linalg.norm(b - a)) < _LEAST:
-        raise ChainError(f"{chain.structure.name}: pull {pull}: both are at one point; give two places")
+        raise ChainError(f"{chain.structure.name}: pull {pull}: both places coincide; give different places")
 
 
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
@@ -152,5 +152,5 @@ def refuse_fixed(pull: Pull, spring: MovingSpring, system: System, structure: St
     free, constrained = solve(factors, torque), system.constraint.project_velocities(factors, torque)
     if torque @ constrained < _SMALLEST_RESPONSE * (torque @ free):
         raise ChainError(
-            f"{structure.name}: pull {pull}: closed loops keep this distance; give others, or open loops"
+            f"{structure.name}: pull {pull}: closed loops fix this distance; give other places, or open loops"
         )

@@ -149,7 +149,7 @@ class HingeSpring:
         kinds = [kind for kind in HINGES if kind != "polar"]
         kind, _, place = self.kind.replace("@", " ").partition(" ")
         if (kind.rstrip("12345") if place else kind) not in kinds:
-            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(kinds)}")
+            raise ProtochainError(f"kind {self.kind!r} is not a hinge kind; choose from {', '.join(kinds)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
             if not 0.0 <= value < math.inf:
                 raise ProtochainError(f"{name} {value:g}: give 0 or more")
@@ -171,7 +171,7 @@ class HingeSpring:
         springs = [cls.read(item, name) if isinstance(item, str) else item for item in items]
         for spring in springs:
             if not isinstance(spring, cls):
-                raise refusal(name, brief(spring), "give HingeSprings, as of 'omega 40 0.5'")
+                raise refusal(name, brief(spring), "give HingeSprings, as 'omega 40 0.5'")
         return tuple(springs)
 
     def __str__(self) -> str:
@@ -278,7 +278,7 @@ class SimulationSettings(Settings):
         if self.time_step >= LONGEST_STEP:
             raise ProtochainError(
                 Argument("time_step"),
-                f" {self.time_step:g} ps: no step of this length is stable; give picoseconds: "
+                f" {self.time_step:g} ps: this step is too long to be stable; give picoseconds: "
                 f"{self.time_step / 1000:g} are {self.time_step:g} fs",
             )
         if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
@@ -303,12 +303,12 @@ class SimulationSettings(Settings):
                 )
             if self.pull is not None and self.pull.speed != 0.0:
                 raise ProtochainError(
-                    f"{self.thermostat}: its trajectories are proposals, in no time in which a spring could "
+                    f"{self.thermostat}: its trajectories are proposals without a time, so a spring cannot "
                     "move; choose langevin, or a speed of 0"
                 )
             if any(spring.damping > 0.0 for spring in self.hinge_springs):
                 raise ProtochainError(
-                    f"{self.thermostat}: draws velocities anew, which leaves a damper nothing to do; choose "
+                    f"{self.thermostat}: redraws velocities, so a damper has no effect; choose "
                     "langevin, or a damping of 0"
                 )
         if self.loops == "closed" and self.integrator != "leapfrog":

@@ -78,7 +78,7 @@ def umbrella(
     if np.size(centres) < 2 or coordinate.kind == "position":
         raise ProtochainError("umbrella: give two centres or more, of a dihedral or a distance")
     if of_windows := sorted({"q", "restraint", "watch"} & {*options}):
-        raise ProtochainError("umbrella: ", Argument(of_windows[0]), " is set by the windows; leave it out")
+        raise ProtochainError("umbrella: ", Argument(of_windows[0]), " is set by the windows; remove it")
     at = np.sort(finite(centres, (np.size(centres),), "centres"))
     bins = _bins(at, 360.0 if turns else np.inf, edges)
     cut, energy = with_energy(chain, energy)

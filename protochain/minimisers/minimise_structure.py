@@ -136,11 +136,11 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
         super().__post_init__()
         if self.start_hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
-                f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"
+                f"method {self.recipe.name!r} cannot be restrained to its start; choose cartesian or hybrid"
             )
         if (self.checkpoint or self.resume) and not self.recipe.states:
             raise ProtochainError(
-                f"method {self.recipe.name!r} keeps no state to resume from; choose another, or no checkpoint"
+                f"method {self.recipe.name!r} has no state to resume from; choose another, or no checkpoint"
             )
 
     @property
@@ -195,7 +195,7 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
         seconds = perf_counter() - record.started
         if outcome.stop is Stop.INTERRUPTED:
             record.at_stage(Stop.INTERRUPTED.value, outcome.n_evaluations)
-        record.at_stage("judging the end", outcome.n_evaluations)
+        record.at_stage("evaluating the end", outcome.n_evaluations)
         return _judge(start, run, outcome, record, seconds)
 
 
@@ -338,7 +338,7 @@ def _describe_residuals(
 ) -> str:
     """Residual, judge and curvature of an end, in words."""
     restrained = ", restraints included" if outcome.restraint else ""
-    judgement = "judged by the callable itself" if engine == "custom" else "in double precision"
+    judgement = "evaluated by the callable itself" if engine == "custom" else "in double precision"
     text = f"{outcome.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judgement}"
     eigenvalue_bound, unit = outcome.eigenvalue_at_most, outcome.space.eigenvalue_unit
     if lowest is not None:

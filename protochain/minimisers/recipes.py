@@ -175,7 +175,7 @@ class Recipe:
         """Raise a ProtochainError for an energy that the method cannot use."""
         if self.by_openmm and energy.system is None:
             raise ProtochainError(
-                f"method {self.name!r} needs an OpenMM System, and a callable has none; choose another"
+                f"method {self.name!r} requires an OpenMM System, which a callable lacks; choose another"
             )
         if not self.keeps_geometry:
             check_dihedrals(energy, f"method {self.name!r}")
@@ -366,7 +366,7 @@ def at_angle(recipe: Recipe, angle: float) -> Recipe:
         raise refusal("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
         names = ", ".join(name for name, candidate in RECIPES.items() if _has_angle(candidate))
-        raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {names}")
+        raise ProtochainError(Argument("angle"), f": does not apply to {recipe.name!r}; choose from {names}")
     (run,) = recipe.runs
     method: Any = run.method
     adjusted = replace(method, rule=replace(method.rule, length=float(angle)))
@@ -416,7 +416,7 @@ def recipe_of(method: Any) -> Recipe:
     refuse_class(method, "method")
     if callable(getattr(method, "step", None)) and "direction" in signature(method.step).parameters:
         raise ProtochainError(
-            f"method {method!r} is a step rule: give it with a direction, as Descent(direction, {method!r})"
+            f"method {method!r} is a step rule: add a direction, as Descent(direction, {method!r})"
         )
     if not (hasattr(method, "init") and hasattr(method, "step")):
         raise ProtochainError(

@@ -38,11 +38,11 @@ def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
 def _way(recipe: Recipe, threaded: bool) -> str:
     frees = threaded and bool(recipe.runs) and not recipe.in_torsions
     if not (recipe.parts_overlaps or frees):
-        return "does not resolve overlaps under restraints first, and may end far from here"
-    ring = "draws bonds out of rings, " if threaded else ""
+        return "does not resolve overlaps under restraints first, and may end far from the start"
+    ring = "pulls bonds out of rings, " if threaded else ""
     if not recipe.keeps_geometry:
         return f"{ring}resolves overlaps under restraints, which are then removed"
-    ring = "; few bonds come out of a ring in this way: cartesian moves all atoms" if threaded else ""
+    ring = "; this rarely frees threaded rings: cartesian moves all atoms" if threaded else ""
     return f"resolves overlaps by turning bonds under restraints, which are then removed{ring}"
 
 
@@ -84,7 +84,7 @@ def describe_rmsd(away: float, recipe: Recipe, start: Structure, turned: bool) -
     if not away > FAR or len(start.alpha_carbons) <= 2:
         return ""
     if turned:
-        return f"{away:.1f} angstrom from the structure given; to stay nearer: a smaller spread"
+        return f"{away:.1f} angstrom from the input; to stay nearer: a smaller spread"
     near = f"cartesian with {_HOLD}" if recipe.by_openmm else _HOLD
     near = f"cartesian, {_HOLD}" if recipe.in_torsions else near
     origin = _FROM_OVERLAPS if is_crowded(start) else "from its start"

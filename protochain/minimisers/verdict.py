@@ -23,7 +23,7 @@ from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
 
-_REMEDY = "leave such hydrogens out of the file and they are placed anew, or relax the structure"
+_REMEDY = "remove such hydrogens from the file to place them again, or relax the structure"
 """Remedy for bonds of wrong lengths."""
 
 
@@ -134,13 +134,13 @@ def describe_rejections(structure: Structure, x: Floats) -> list[str]:
     """Describe errors that no result may have: mirror images, other isomers, fixed chains, faults."""
     # x (na, 3) nm.
     problems = [
-        f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
+        f"chain {chain} is a mirror image, D-amino acids with L names (relax with mirror if intended)"
         for chain in mirror_images(structure.with_positions(x))
     ]
     inverted = atom_names(structure, inverted_stereocentres(structure, x))
     problems += [f"inverted stereocentres: {abridge(inverted)}"] if inverted else []
     bonds = describe_double_bonds(structure, inverted_double_bonds(structure, x))
-    problems += [f"double bonds with the other E/Z: {abridge(bonds)}"] if bonds else []
+    problems += [f"double bonds with inverted E/Z: {abridge(bonds)}"] if bonds else []
     n_fixed, n = count_fixed(structure)
     problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
     # Torsions change no bond length: such a run would end converged.
@@ -165,10 +165,10 @@ def _force_status(
 ) -> tuple[Status, str]:
     """Status and message from forces, overlaps, and changes of isomers."""
     # Changed isomers.
-    remedy = "build these residues anew first"
+    remedy = "rebuild these residues first"
     if inverted is None:
         inverted = changed_stereocentres(structure, x, structure.positions)
-        remedy = "lbfgs keeps stereocentres: it turns bonds only"
+        remedy = "lbfgs preserves stereocentres: it turns bonds only"
     if isomerised is None:
         isomerised = isomerised_bonds(structure, x, structure.positions)
     changes: dict[Status, str] = {}
@@ -176,7 +176,7 @@ def _force_status(
         changes[Status.INVERTED] = f"{abridge(inverted)} inverted; {remedy}"
     if isomerised:
         bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {abridge(isomerised, 3)}"
-        changes[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
+        changes[Status.ISOMERISED] = f"{bonds} changed between cis and trans; a restraint prevents it"
     if changes:
         status = next(iter(changes))
         measured = "; ".join([*changes.values(), measured])
@@ -195,12 +195,12 @@ def _force_status(
         suffix = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
         return Status.CLASH, f"clash: {overlap[0]}{suffix}; {measured}"
     if threaded:
-        remedy = "cartesian and relax try to draw it out; otherwise build these side chains anew"
+        remedy = "cartesian and relax try to pull it out; otherwise rebuild these side chains"
         return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"
     if stop is Stop.NON_FINITE:
         return (
             Status.NON_FINITE,
-            f"non-finite: {stop.value}; the last structure before it is kept: {measured}",
+            f"non-finite: {stop.value}; the last finite structure is returned: {measured}",
         )
     if stop is Stop.BUDGET:
         return Status.BUDGET, f"budget: {n_evaluations} evaluations used: {measured}"

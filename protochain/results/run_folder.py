@@ -16,7 +16,7 @@ REPLACE = Argument("force", True), " replaces it"
 def refuse_earlier(place: Path, run: str, *remedy: str | Argument) -> ProtochainError:
     """Return the error for a place with an earlier run, which ``resume`` continues."""
     return ProtochainError(
-        f"{place}: holds {run}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
+        f"{place}: contains {run}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
     )
 
 

@@ -123,7 +123,7 @@ class Search(Value):
     def agreement(self) -> str:
         """How many walks reached the lowest minimum, with a warning if only one did."""
         n, total = self.n_walks_at_lowest, len(self.findings)
-        text = f"{n} of {total} walks reached it" if total > 1 else "one walk, which nothing confirms"
+        text = f"{n} of {total} walks reached it" if total > 1 else "one walk, not confirmed by another"
         return text if n > 1 else f"{text}: continue it with more evaluations before you rely on it"
 
     def structure(self, number: int = 1) -> Structure:

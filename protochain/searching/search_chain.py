@@ -174,7 +174,7 @@ def check_folder(folder: Path, resume: bool, force: bool) -> None:
     if has_pieces and not (resume or force):
         raise refuse_earlier(folder, "a search")
     if resume and not has_pieces:
-        raise ProtochainError(f"{folder}: holds no search to resume; leave out ", Argument("resume", True))
+        raise ProtochainError(f"{folder}: contains no search to resume; remove ", Argument("resume", True))
 
 
 def _pieces(folder: Path, walker: str = "*") -> Iterator[Path]:
@@ -334,8 +334,8 @@ def _submit_pieces(
             store(walker, end.state, end.finding)
         elif failures[walker] + 1 >= _ATTEMPTS:
             raise ProtochainError(
-                f"walker {walker}: {end.message}; what was found before is in the folder, ",
-                Argument("resume", True), " goes on",
+                f"walker {walker}: {end.message}; earlier results are in the folder, ",
+                Argument("resume", True), " continues",
             )  # fmt: skip
         else:
             failures[walker] += 1

@@ -28,7 +28,7 @@ def test_a_batch_goes_on_with_its_own_settings_only(other, said, tmp_path, monke
     first = start_without_work(files, tmp_path, monkeypatch, **usual)
     before = rows_of(tmp_path)
     assert first == ["ala10", "1l2y"] and before.count("\n") == 3
-    with pytest.raises(pc.ProtochainError, match=rf"holds results with.*{said}; repeat the settings"):
+    with pytest.raises(pc.ProtochainError, match=rf"contains results with.*{said}; repeat the settings"):
         start_without_work(files, tmp_path, monkeypatch, resume=True, **usual | other)
     assert rows_of(tmp_path) == before
     added = (*files, STRUCTURES / "1vii.pdb")
@@ -59,7 +59,7 @@ def test_results_without_their_settings_are_not_continued(tmp_path, monkeypatch)
     start_without_work(files, tmp_path, monkeypatch, **usual)
     (tmp_path / "settings.json").unlink()
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json.*another folder"):
+    with pytest.raises(pc.ProtochainError, match=r"contains results without settings\.json.*another folder"):
         start_without_work(files, tmp_path, monkeypatch, resume=True, **usual)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     # The folder is not left locked, and without results there is nothing to doubt.
@@ -133,7 +133,7 @@ def test_damaged_settings_of_a_folder_are_refused_in_a_line(damaged, tmp_path, m
     assert start_without_work(*usual, methods="lbfgs") == ["ala10"]
     before = rows_of(tmp_path)
     (tmp_path / "settings.json").write_bytes(damaged)
-    with pytest.raises(pc.ProtochainError, match=r"^[^\n]*settings.json: holds no settings[^\n]*$"):
+    with pytest.raises(pc.ProtochainError, match=r"^[^\n]*settings.json: contains no settings[^\n]*$"):
         start_without_work(*usual, methods="lbfgs", resume=True)
     assert rows_of(tmp_path) == before and (tmp_path / "settings.json").read_bytes() == damaged
 

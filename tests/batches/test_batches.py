@@ -149,7 +149,7 @@ def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tm
     assert [p.skipped for p in seen] == [1, 1]
     assert result.table["structure"].tolist() == ["1l2y", "cut", "deep/ala10"]
     assert result.table["energy_end_kj_mol"].iloc[0] == first.table["energy_end_kj_mol"].iloc[0]
-    with pytest.raises(pc.ProtochainError, match="holds a batch"):
+    with pytest.raises(pc.ProtochainError, match="contains a batch"):
         pc.batch(folder, tmp_path, "lbfgs")
 
 
@@ -243,7 +243,7 @@ def test_a_cluster_that_is_not_there_is_named_and_keeps_no_folder(folder, tmp_pa
     (tmp_path / "there").mkdir()
     monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
     for output in (tmp_path / "there", tmp_path / "new" / "deep"):
-        with pytest.raises(pc.ProtochainError, match="no cluster answers"):
+        with pytest.raises(pc.ProtochainError, match="no cluster responds"):
             pc.batch(folder, output, scheduler="tcp://127.0.0.1:9")
     assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
 
@@ -260,7 +260,7 @@ def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path, monke
     store_settings(tmp_path, BatchSettings(), [job])
     (tmp_path / "summary.csv").write_bytes(rows)
     monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
-    with pytest.raises(pc.ProtochainError, match="no cluster answers"):
+    with pytest.raises(pc.ProtochainError, match="no cluster responds"):
         pc.batch(folder, tmp_path, resume=True, scheduler="tcp://127.0.0.1:9")
     assert "converged" in (tmp_path / "summary.csv").read_text()
 

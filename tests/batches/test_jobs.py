@@ -89,8 +89,8 @@ def test_a_setting_that_no_method_has_is_refused(tmp_path):
     shutil.copy(STRUCTURES / "ala10.pdb", tmp_path / "a.pdb")
     here, there = tmp_path / "a.pdb", tmp_path / "work.csv"
     for methods, settings, said in (
-        (("relax",), {"max_evaluations": 7}, "max_evaluations: is no setting of relax"),
-        (("kcm", "lbfgs"), {"preset": "crystal"}, "preset: is no setting of kcm, lbfgs"),
+        (("relax",), {"max_evaluations": 7}, "max_evaluations: does not apply to relax"),
+        (("kcm", "lbfgs"), {"preset": "crystal"}, "preset: does not apply to kcm, lbfgs"),
     ):
         with pytest.raises(pc.ProtochainError) as refusal:
             find_jobs([here], BatchSettings(methods).changed(**settings))
@@ -119,7 +119,7 @@ def test_a_manifest_has_the_settings_of_relax():
         ({"preset": "weak"}, "preset 'weak' is not known; choose from predicted, crystal, design"),
         ({"protocol": "alphafold", "solvent": "gbn2"}, "protocol alphafold is vacuum"),
         ({"repack": "perhaps"}, "neither true nor false"),
-        ({"seed": "3"}, "seed: is no setting of relax; leave it out"),
+        ({"seed": "3"}, "seed: does not apply to relax; remove it"),
     ):
         with pytest.raises(pc.ProtochainError, match=said):
             BatchSettings().read({"methods": "relax", **cells})
@@ -156,7 +156,7 @@ def test_methods_of_one_name_are_refused():
     twice = ("fire", "protochain.minimisers:Fire", "protochain.minimisers.fire:Fire")
     with pytest.raises(pc.ProtochainError) as refusal:
         BatchSettings(methods=twice)
-    assert str(refusal.value) == f"methods {', '.join(twice)}: two have one name; their files would too"
+    assert str(refusal.value) == f"methods {', '.join(twice)}: two have one name, and so would their files"
     assert BatchSettings(methods=twice[:2]).methods == twice[:2]
 
 
@@ -278,9 +278,7 @@ def test_results_are_not_searched_and_no_input_may_lie_among_them(here):
     assert names(["deep"], output=here / "deep" / "new") == ["c", "d", "g"]
     with pytest.raises(pc.ProtochainError) as refusal:
         names(["deep/d.mmcif"], output=Path("deep"))
-    assert str(refusal.value) == (
-        "deep/d.mmcif: lies in the folder for the results; give them a folder of their own"
-    )
+    assert str(refusal.value) == ("deep/d.mmcif: is inside the output folder; choose another output folder")
 
 
 def test_a_manifest_names_files_beside_it_each_with_its_settings(here):
@@ -380,7 +378,7 @@ def test_a_folder_of_poses_is_a_job_for_each_which_is_done_anew_if_its_pose_chan
     assert [old.key == new.key for old, new in zip(jobs, again, strict=True)] == [True, False]
     for name in ("b.sdf", "a.MOL2"):
         (poses / name).unlink()
-    with pytest.raises(pc.ProtochainError, match=r"poses: no poses in it; give a folder of \.sdf"):
+    with pytest.raises(pc.ProtochainError, match=r"poses: contains no poses; give a folder of \.sdf"):
         find_jobs([tmp_path / "protein.pdb"], settings)
 
 

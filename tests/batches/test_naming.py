@@ -151,12 +151,12 @@ def test_a_manifest_or_link_in_the_folder_for_the_results_is_refused():
     Path("out/x.pdb").symlink_to(Path("in/x.pdb").absolute())
     Path("in/z.pdb").symlink_to(Path("out/y.relaxed.pdb").absolute())
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    with pytest.raises(pc.ProtochainError, match="in: is the folder for the results"):
+    with pytest.raises(pc.ProtochainError, match="in: is the output folder"):
         pc.batch("in", "in", "relax")
     for given, options in (
         ([], {"manifest": "out/list.csv"}), ("out/x.pdb", {}), ("in/z.pdb", {}),
         ("out/y.relaxed.pdb", {}), ("in/../out/x.pdb", {}),
     ):  # fmt: skip
-        with pytest.raises(pc.ProtochainError, match="lies in the folder for the results"):
+        with pytest.raises(pc.ProtochainError, match="is inside the output folder"):
             pc.batch(given, "out", "relax", **options)
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before

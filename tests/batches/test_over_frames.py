@@ -264,7 +264,7 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     with pytest.raises(pc.ProtochainError, match="of another run"):
         run_frames(ensemble, chosen, RELAX, table, resume=True)
     stopped.unlink()
-    with pytest.raises(pc.ProtochainError, match="lacks what it wrote"):
+    with pytest.raises(pc.ProtochainError, match="is incomplete"):
         run_frames(ensemble, chosen, RELAX, table, stopped, resume=True)
 
 

@@ -144,7 +144,7 @@ def test_a_cluster_that_does_not_answer_is_named(error, dask):
     dask.error = error
     with pytest.raises(pc.ProtochainError) as refusal, open_workers(Processes(scheduler="tcp://there:1")):
         pass
-    assert str(refusal.value) == "scheduler tcp://there:1: no cluster answers there: no"
+    assert str(refusal.value) == "scheduler tcp://there:1: no cluster responds: no"
 
 
 def test_a_worker_tells_its_version(monkeypatch):

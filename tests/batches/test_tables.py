@@ -205,7 +205,7 @@ def test_a_refusal_leaves_a_table_of_another_kind_as_it_is(name, resume, tmp_pat
     (tmp_path / "settings.json").write_text("{}")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     other = {"summary": "relaxed", "relaxed": "summary"}[name]
-    with pytest.raises(pc.ProtochainError, match=rf"{name}\.csv: holds a batch; give another folder"):
+    with pytest.raises(pc.ProtochainError, match=rf"{name}\.csv: contains a batch; give another folder"):
         Tables(tmp_path, resume, other)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     Tables(tmp_path, resume=False, name=other, force=True).close()

@@ -119,7 +119,7 @@ def test_a_relaxed_scan_is_lower_and_keeps_the_dihedral():
         (lambda c: c.set({"phi A:5": np.nan}), "values phi A:5: nan: give finite"),
         (lambda c: c.set({"phi A:5": "x"}), "values 'x': give a number"),
         (lambda c: pc.build_chain(c.structure, "phi psi -phi@A:99"), "no hinge 'phi A:99'"),
-        (lambda c: pc.HingeSpring("phy@A:5", 1.0), "no kind of hinge"),
+        (lambda c: pc.HingeSpring("phy@A:5", 1.0), "not a hinge kind"),
         (lambda c: pc.simulate(c, n_steps=1, hinge_springs="phi@A:99 5"), "does not turn"),
         (lambda c: pc.scan(c, None, {"phi A:5": []}), "finite"),
         (lambda c: pc.scan(c, None, {"phi A:5": [np.nan]}), "finite"),

@@ -41,7 +41,7 @@ def test_help_loads_nothing_heavy():
         (["compare", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
         (["batch"], ["no structures found"]),
         (["batch", "*.xyz"], ["*.xyz", "matches no file"]),
-        (["batch", "in.pdb", "-o", "."], ["in.pdb", "folder of their own"]),
+        (["batch", "in.pdb", "-o", "."], ["in.pdb", "another output folder"]),
         (["batch", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
         (["batch", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
         (["info", "in.pdb", "--model", "all"], ["model all", "give its number"]),

@@ -237,7 +237,7 @@ def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_
             command, *(["in.pdb"] * lacks), *asked.split(), *WRITTEN[command][written][0].format(file).split()
         )
         assert (
-            "is the input" in said or "lies in the folder for the results" in said or "holds a batch" in said
+            "is the input" in said or "is inside the output folder" in said or "contains a batch" in said
         ), said
         assert Path(file).read_text() == "path\nin.pdb\n"
 

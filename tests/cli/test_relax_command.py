@@ -191,9 +191,9 @@ def test_relax_takes_manifests_and_clusters_as_batch_does(predictions, cluster, 
     )
     assert tuple(pd.read_csv("batch/summary.csv").columns) == OF_RELAXED
     sheet.write_text("path,methods\nmodel.pdb,relax\nmodel.pdb,kcm\n")
-    assert "methods kcm: relaxed.csv is of relax alone" in refusal("relax", "--manifest", sheet)
+    assert "methods kcm: relaxed.csv is for relax only" in refusal("relax", "--manifest", sheet)
     sheet.write_text("path,seed\nmodel.pdb,3\n")
-    assert "line 2: seed: is no setting of relax" in refusal("relax", "--manifest", sheet)
+    assert "line 2: seed: does not apply to relax" in refusal("relax", "--manifest", sheet)
 
 
 def test_what_does_not_fit_a_pdb_file_is_written_as_mmcif(tmp_path):

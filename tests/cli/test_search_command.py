@@ -34,8 +34,8 @@ def test_a_sequence_and_its_file_find_the_same(tmp_path, monkeypatch, capsys):
         (("search", "ABZ"), "ABZ"),
         (("search", "AAA", "--temperatures", "600-300"), "the lower first"),
         (("search", "AAA", "--method", "luck"), "choose from csa"),
-        (("search", "AAA", "--resume"), "holds no search to resume"),
-        (("search", "A" * 300, "--resume", "-o", "long"), "holds no search to resume"),
+        (("search", "AAA", "--resume"), "contains no search to resume"),
+        (("search", "A" * 300, "--resume", "-o", "long"), "contains no search to resume"),
         (("search", "AAA", "--workers", "0"), "workers 0"),
     ],
 )

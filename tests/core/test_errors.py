@@ -35,7 +35,7 @@ def said(monkeypatch, capsys, *arguments):
         (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30 degrees: give an angle"),
         (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0 degrees: give an angle above 0"),
         (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
-        (("simulate", SAMPLE, "--resume"), "leave out --resume"),
+        (("simulate", SAMPLE, "--resume"), "remove --resume"),
         (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
         (("simulate", SAMPLE, "--time-step", "2000"), "--time-step 2000 fs: "),
         (("simulate", SAMPLE, "--time-step", "0"), "--time-step 0 fs: give a number above 0"),

@@ -93,7 +93,7 @@ def test_a_watcher_that_asks_is_told_every_stage():
     r = pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=50.0, watch=Watch())
     names = list(dict.fromkeys(each[0] for each in seen if each))
     assert [name for name in names if name != "torsions"] == [
-        "resolving clashes", "held by springs", "all atoms", "judging the end",
+        "resolving clashes", "held by springs", "all atoms", "evaluating the end",
     ]  # fmt: skip
     assert sum(each is None for each in seen) == len(r.trace)
     counts = [each[1] for each in seen if each]

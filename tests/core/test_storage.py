@@ -216,7 +216,7 @@ def test_a_comparison_is_replaced_only_when_asked_and_whole(tmp_path, monkeypatc
     again = ("compare", SAMPLE, "-o", "out", "--methods", "kcm", "--max-evaluations", 5)
     assert run(monkeypatch, *again) == 2
     line = capsys.readouterr().err.splitlines()[-1]
-    assert "out: holds a comparison (report.html); give another folder, or --force to replace it" in line
+    assert "out: contains a comparison (report.html); give another folder, or --force to replace it" in line
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert run(monkeypatch, *again, "--force") == 3
     assert {path.stem for path in out.glob("*.pdb")} == {"ala10.kcm", "ala10.start"}
@@ -275,7 +275,7 @@ def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "checkpoint.npz").touch()
     assert run(monkeypatch, *work, "--force") == 2
-    assert "holds a batch or simulation (checkpoint.npz)" in capsys.readouterr().err
+    assert "contains a batch or simulation (checkpoint.npz)" in capsys.readouterr().err
 
 
 def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_path):

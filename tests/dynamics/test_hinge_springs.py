@@ -257,7 +257,7 @@ def test_springs_are_read_as_they_are_meant():
         ("omega", "'omega': give kind, stiffness, damping, as 'omega 40 0.5'"),
         ("omega forty", "give kind"),
         ("omega 1 2 3", "give kind"),
-        ("bond 40", "kind 'bond' is no kind of hinge; choose from phi, psi, omega"),
+        ("bond 40", "kind 'bond' is not a hinge kind; choose from phi, psi, omega"),
         ("omega -1", "stiffness -1: give 0 or more"),
         ("omega 1 nan", "damping nan: give 0 or more"),
         (3.0, "hinge_springs 3.0: give HingeSprings"),

@@ -219,7 +219,7 @@ def test_closed_loops_keep_the_order_and_what_they_keep_cannot_be_pulled():
     assert runs[0].trace["closure_error_nm"].max() < 1e-11
     # A bond that the loops keep, and one of the distances that keep its angles.
     for between in ("A:7:SG-B:7:SG", "A:7:CB-B:7:SG"):
-        with pytest.raises(pc.ProtochainError, match="closed loops keep this distance"):
+        with pytest.raises(pc.ProtochainError, match="closed loops fix this distance"):
             run(between, 0.001)
 
 
@@ -364,7 +364,7 @@ def test_numbers_that_make_no_sense_are_refused(given, word):
         ("A:2:N-A:2:CA", "no hinge changes this distance"),
         ("name N and resid 99 - resid 5", "selects no atom"),
         ("nonsense ( - resid 5", "cannot be read"),
-        ("name CA - name CA", "both are at one point"),
+        ("name CA - name CA", "both places coincide"),
     ],
 )
 def test_places_that_cannot_be_pulled_are_refused(between, said):

@@ -336,7 +336,7 @@ def test_a_damaged_checkpoint_is_refused_part_by_part(tmp_path):
 
 def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
     simulate(*small, n_steps=20, every=10, output=tmp_path)
-    with pytest.raises(pc.ProtochainError, match="holds a simulation"):
+    with pytest.raises(pc.ProtochainError, match="contains a simulation"):
         simulate(*small, n_steps=40, every=10, output=tmp_path)
     with pytest.raises(pc.ProtochainError, match=r"temperature 300\.0, not 310\.0"):
         simulate(*small, temperature=310.0, n_steps=40, every=10, output=tmp_path, resume=True)
@@ -374,7 +374,7 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
 @pytest.mark.parametrize("name", ["checkpoint.npz", "log.csv", "log.part.csv"])
 def test_what_a_simulation_left_is_not_written_over(name, small, tmp_path):
     (tmp_path / name).write_text("of a week")
-    with pytest.raises(pc.ProtochainError, match=rf"holds a simulation \({name}\)"):
+    with pytest.raises(pc.ProtochainError, match=rf"contains a simulation \({name}\)"):
         simulate(*small, n_steps=2, output=tmp_path)
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [(name, "of a week")]
 

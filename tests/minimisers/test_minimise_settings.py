@@ -31,11 +31,11 @@ LBFGS = RECIPES["lbfgs"]
         ("lbfgs", {"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ("lbfgs", {"seed": -1}, "seed -1: give 0 or more"),
         ("openmm", {"restraint": 1.0},
-         "method 'openmm' cannot be held near its start; choose cartesian or hybrid"),
+     "method 'openmm' cannot be restrained to its start; choose cartesian or hybrid"),
         ("openmm", {"checkpoint": "run.npz"},
-         "method 'openmm' keeps no state to resume from; choose another, or no checkpoint"),
+           "method 'openmm' has no state to resume from; choose another, or no checkpoint"),
         ("openmm", {"resume": "run.npz"},
-         "method 'openmm' keeps no state to resume from; choose another, or no checkpoint"),
+           "method 'openmm' has no state to resume from; choose another, or no checkpoint"),
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(recipe, settings, said):
@@ -121,7 +121,7 @@ def test_an_outcome_of_all_atoms_is_judged_by_its_rms_force_and_rebuilt():
     assert found.end.rms_force == pytest.approx(size) and found.x == pytest.approx(x, abs=1e-12)
     assert found.message == (
         f"budget: 2 evaluations used: RMS force {size:.4g} kJ/mol/nm for a tolerance of 0.5, "
-        "judged by the callable itself"
+        "evaluated by the callable itself"
     )
 
 

@@ -73,7 +73,7 @@ def test_runs_repeat_exactly_where_sums_are_in_order_and_nothing_is_drawn(
 
 def test_openmms_methods_need_a_system():
     without = SimpleNamespace(system=None)
-    with pytest.raises(pc.ProtochainError, match="needs an OpenMM System"):
+    with pytest.raises(pc.ProtochainError, match="requires an OpenMM System"):
         RECIPES["openmm"].check(without)
     RECIPES["openmm"].check(SimpleNamespace(system="some"))
     RECIPES["lbfgs"].check(without)

@@ -147,7 +147,7 @@ def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
     for options, word in (
         ({"method": "newton"}, "method 'lbfgs', not 'newton'"),
         ({"method": "lbfgs", "tolerance": 2.0}, "tolerance 1.0, not 2.0"),
-        ({"method": "openmm"}, "keeps no state"),
+        ({"method": "openmm"}, "has no state"),
     ):
         with pytest.raises(pc.ProtochainError, match=word):
             pc.minimise(c, e, resume=file, **options)

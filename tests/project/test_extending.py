@@ -55,7 +55,7 @@ def test_a_method_from_outside_goes_on_as_if_it_had_not_stopped(said, tmp_path):
     class Nameless:
         init, step = method.init, method.step
 
-    with pytest.raises(pc.ProtochainError, match="keeps no state"):
+    with pytest.raises(pc.ProtochainError, match="has no state"):
         pc.minimise(c, e, Nameless(), checkpoint=file)
 
 
@@ -80,7 +80,7 @@ def test_a_restraint_from_outside_counts_in_the_residual_and_not_in_the_energy(s
 
 def test_an_energy_from_outside_is_its_own_judge_and_says_so(said):
     back = said["back"]
-    assert back.status == "converged" and "judged by the callable itself" in back.message
+    assert back.status == "converged" and "evaluated by the callable itself" in back.message
     assert back.end.energy == pytest.approx(said["elastic_network"](back.x)[0])
     assert back.record()["engine"] == "custom"
     apart = pc.ca_rmsd(back.structure, back.x, load("ala10.pdb").positions)
@@ -128,7 +128,7 @@ def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
 def test_methods_of_one_name_are_told_apart_or_refused():
     c, e = chain("ala10.pdb"), energy("ala10.pdb")
     short, long = (Descent(KCM(), Fixed(angle)) for angle in (0.0005, 0.005))
-    with pytest.raises(pc.ProtochainError, match="two methods are called 'KCM'"):
+    with pytest.raises(pc.ProtochainError, match="two methods are named 'KCM'"):
         pc.compare(c, (short, long), e, max_evaluations=3)
     named = [Recipe(name, (Run(method),)) for name, method in (("short", short), ("long", long))]
     k = pc.compare(c, (*named, "lbfgs", "lbfgs", named[0]), e, max_evaluations=3)

@@ -52,7 +52,7 @@ def test_calls_are_refused(act, said):
     [
         ("mutate {ala}", "mutate: give mutations, as A:L45F, or --scan SITES"),
         ("mutate {ala} A:A3G --scan A", "mutate: give mutations, as A:L45F, or --scan SITES, not both"),
-        ("minimise {ala} --angle 0.1 --method lbfgs", "--angle: method 'lbfgs' has none; give it with "
+        ("minimise {ala} --angle 0.1 --method lbfgs", "--angle: does not apply to 'lbfgs'; choose from "
          "kcm, kcm-2norm, "),
         ("simulate {ala} --thermostat none --friction 5", "--friction does not apply to thermostat none"),
         ("simulate {ala} --trajectory-length 5", "--trajectory-length applies to thermostat hmc only"),

@@ -249,7 +249,7 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     assert pd.read_csv("scan.csv")["mutations"].tolist() == ["A:L7A"]
     given.pop()
     monkeypatch.setattr(mutation_scan, "rows_of", first)
-    assert "holds an interrupted scan" in refusal_as_said(*given)
+    assert "contains an interrupted scan" in refusal_as_said(*given)
     assert "--into" in refusal_as_said(*given, "--into", "V", "--resume")
     marked = pd.read_csv("scan.csv").assign(message="kept")
     marked.to_csv("scan.csv", index=False)

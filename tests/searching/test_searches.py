@@ -308,10 +308,10 @@ def test_settings_that_make_no_sense_are_refused(name, value, peptide):
 def test_folders_are_neither_replaced_nor_continued_by_mistake(peptide, tmp_path):
     with pytest.raises(pc.ProtochainError, match="give the folder"):
         pc.search(*peptide, resume=True)
-    with pytest.raises(pc.ProtochainError, match="holds no search to resume"):
+    with pytest.raises(pc.ProtochainError, match="contains no search to resume"):
         pc.search(*peptide, output=tmp_path, resume=True)
     pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1)
-    with pytest.raises(pc.ProtochainError, match="holds a search; resume=True"):
+    with pytest.raises(pc.ProtochainError, match="contains a search; resume=True"):
         pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1)
     with pytest.raises(pc.ProtochainError, match="seed 0, not 1"):
         pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1, seed=1, resume=True)
