@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.frames import models, shaken, without
+from fixtures.repairs import turned_amides
 from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import ROUND_OFF_NM
 
@@ -54,6 +55,13 @@ def test_waters_and_other_atoms_that_are_left_out_stay_out():
     assert np.abs(found.positions - structure.positions - 1.0).max() < 2e-6
 
 
+def not_turned(structure, atom):
+    """Whether an atom is no end of an amide that was turned."""
+    residue = structure.atom_residue[atom]
+    chain, number = structure.residue_chain[residue], structure.residue_number[residue]
+    return (str(chain), str(number), str(structure.atom_name[atom])) not in turned_amides(structure)
+
+
 @pytest.mark.parametrize("name", ["1ubq.pdb", "1ubq.cif"])
 def test_places_are_those_of_the_text(name):
     structure = load(name)
@@ -67,7 +75,9 @@ def test_places_are_those_of_the_text(name):
     else:
         text = np.array([line.split()[10:13] for line in lines], dtype=float)
     place = structure.origin.place
-    np.testing.assert_allclose(structure.positions[place >= 0], 0.1 * text[place[place >= 0]], rtol=1e-15)
+    (same,) = np.nonzero(place >= 0)
+    same = same[[not_turned(structure, atom) for atom in same]]
+    np.testing.assert_allclose(structure.positions[same], 0.1 * text[place[same]], rtol=1e-15)
     assert len(structure.origin.atoms) == len(text)
 
 

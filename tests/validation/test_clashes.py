@@ -36,7 +36,11 @@ def test_the_pairs_are_those_of_probe_but_for_contacts_nearly_covered(name, expe
     """A few that bonded atoms cover but for a rim, where Probe has a dot or not, may differ."""
     found = clashes(load(name))
     mine = labels(load(name), found.pairs)
-    assert len(mine - set(expected)) <= more and len(set(expected) - mine) <= fewer
+    # Probe has the amide of GLN49 as in the file: turned, it clashes with nothing.
+    ends = {"49:NE2", "49:HE21", "49:HE22", "49:OE1"} if name == "1ubq.pdb" else set()
+    assert not any(ends & set(pair.split()) for pair in mine)
+    expected = {pair for pair in expected if not ends & set(pair.split())}
+    assert len(mine - expected) <= more and len(expected - mine) <= fewer
     assert found.per_1000_atoms == pytest.approx(1000 * len(mine) / load(name).n_atoms)
     assert (np.diff(found.overlap_angstrom) <= 0).all()
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from bench.studies import kcm_summary
+from bench.studies.kcm_cases import BOUNDS
 from tables import Cell, digits, markdown, paragraph, percent, table, table_of_rows
 
 
@@ -308,3 +309,38 @@ def kcm_basins(rows: pd.DataFrame) -> str:
         "least contacts",
     )
     return markdown(heads, (cells(str(name), ends) for name, ends in deposited.groupby("method", sort=False)))
+
+
+@table("kcm-paths-words", "kcm_methods.csv", "kcm_contrasts.csv")
+def kcm_paths_words(rows: pd.DataFrame, contrasts: pd.DataFrame) -> str:
+    """What the bounds change, with the verdicts of the contrasts."""
+    of = rows.set_index("method")
+    main = contrasts[contrasts["scope"] == _first(contrasts)].set_index("what", drop=False)
+
+    def pairs(method: str) -> str:
+        return f"{of['same_pairs'][method]:.0f} of {of['pairs'][method]:.0f}"
+
+    def verdict(what: str) -> str:
+        row = main.loc[what]
+        effect = "" if kcm_summary.resolved(row) else "not resolved, "
+        p = kcm_summary.p_value(row["effect_p_scope"])
+        return f"{row['same_pairs']:.0f} of {row['pairs']:.0f} pairs ({effect}adjusted p {p})"
+
+    weak, strong = BOUNDS[0], BOUNDS[-1]
+    lengths, heights = of["path_nm"], of["above_kj_mol"]
+    by_mass = {bound: pairs(f"entropy-mass-{bound:g}") for bound in (weak, strong)}
+    paragraphs = (
+        "A stronger bound in the metric of masses leads KCM towards dynamics. Without a bound `kcm-0.005` "
+        f"and `md-10` end in one minimum in {pairs('kcm-0.005')} peptides. With a bound of {weak:g} nm/rad "
+        f"they do in {by_mass[weak]}, with {strong:g} nm/rad in {by_mass[strong]}. "
+        f"`kcm-metric` and `md-10` do in {pairs('kcm-metric')}.",
+        f"From all starts `kcm-0.005` and its form with the bound of {strong:g} nm/rad by mass end in one "
+        f"minimum in {verdict(f'bound {strong:g}, mass')}. With this bound on the C-alphas they do in "
+        f"{verdict(f'bound {strong:g}, positions')}. The form bounded by mass and dynamics do in "
+        f"{verdict(f'bound {strong:g}, mass, and dynamics')}.",
+        f"The mean path has {lengths['kcm-0.005']:.2f} nm without a bound and "
+        f"{lengths[f'entropy-mass-{strong:g}']:.2f} nm with this bound by mass. It has "
+        f"{lengths['md-10']:.2f} nm in dynamics at a friction of 10 per ps. No method ends near the lowest "
+        f"known minimum: the mean heights are {heights.min():.0f} to {heights.max():.0f} kJ/mol.",
+    )
+    return "\n".join(map(paragraph, paragraphs))

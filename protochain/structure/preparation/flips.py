@@ -106,8 +106,10 @@ def choose_flips(templated: Iterable[tuple[Member, Template | None]]) -> tuple[d
         reached = tree.query_ball_point(pivot, _REACH) if tree else []
         polar = [fixed[k] for k in reached if member.name != "HIS" or owners[k] is not member]
         atoms_near = atoms.subset([k for k in touched if residue_of[k] != id(member)])
-        contacts = [score(*_surface(member.name, state), atoms_near) for state in choices]
-        energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACT * np.array(contacts))
+        # Contacts choose between orientations, and hydrogen bonds alone between tautomers.
+        contacts = np.array([score(*_surface(member.name, state), atoms_near) for state in choices])
+        contacts = contacts.reshape(2, -1).max(axis=1).repeat(len(choices) // 2)
+        energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACT * contacts)
     near = sorted(KDTree(pivots).query_pairs(_PAIR))
     tables = {(i, j): np.array([[_pair_energy(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
     pairs = {ends: table for ends, table in tables.items() if table.any()}
