@@ -59,7 +59,7 @@ class Child:
         began = perf_counter()
         try:
             if not self.is_ready:
-                self._next(began + _START, "the process that minimises did not start in time")
+                self._next(began + _START, "the minimisation process did not start in time")
                 self.is_ready, began = True, perf_counter()
             self._send((job, self.threads))
             while True:
@@ -117,10 +117,10 @@ class Child:
         self.stderr.seek(0, os.SEEK_SET)
         lines = self.stderr.read()[-2000:].decode(errors="replace").strip().splitlines()
         if status >= 0:
-            return f"the process that minimised it ended with status {status}: {lines[-1] if lines else ''}"
+            return f"the minimisation process ended with status {status}: {lines[-1] if lines else ''}"
         name = signal.Signals(-status).name
         cause = ", as when memory runs out" if name == "SIGKILL" else ""
-        return f"the process that minimised it was ended by {name}{cause}"
+        return f"the minimisation process was ended by {name}{cause}"
 
 
 _thread_state = threading.local()

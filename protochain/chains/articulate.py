@@ -118,7 +118,7 @@ def build_chain(
     is_body = is_body and " ".join(opened) == defaults.HINGES
     if not turning and not structure.mobile.any() and not is_body:
         of = "" if move == "all" else f" in {move!r}"
-        raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
+        raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more kinds")
     # Molecules, a root atom of each, and the freedom of each root.
     molecule = components(bonds, structure.n_atoms)
     if structure.obstacle.any():

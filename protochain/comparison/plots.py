@@ -188,7 +188,7 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     for panel in axes:
         panel.set_xticks([*places], [*places.values()])
         plain(panel)
-    return _set_title(axes, ax, f"{_plain_text(title)}: what changed" if title else "")
+    return _set_title(axes, ax, f"{_plain_text(title)}: changes" if title else "")
 
 
 _CHIS = ("chi1", "chi2", "chi3", "chi4")

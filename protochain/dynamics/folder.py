@@ -176,7 +176,7 @@ class Folder:
             self.log_part.replace(self.log)
         if hasattr(self, "_frames") and self._frames.part.exists():
             self._frames.finish_at(self.stored["frames"], self.stored["trajectory_bytes"])
-        return f"{self.stored['frames']} frames, and what is needed to go on from step {self.stored['step']}"
+        return f"{self.stored['frames']} frames, and the state to resume from step {self.stored['step']}"
 
     def last(self, structure: Structure) -> Path:
         """Path of the final structure: PDB if the format allows it, otherwise mmCIF."""

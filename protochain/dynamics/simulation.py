@@ -211,7 +211,7 @@ def describe_outcome(
         pairs = "pair of atoms overlaps" if crowd == 1 else "pairs of atoms overlap"
         return f"unstable after {progress}: {reason}; {crowd} {pairs} at the start: minimise first"
     return (
-        f"unstable after {progress}: {reason}; take a time step below {settings.time_step:g} ps "
+        f"unstable after {progress}: {reason}; use a time step below {settings.time_step:g} ps "
         f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
         + ("; or pull more slowly, by a softer spring" if settings.pull else "")
     )

@@ -59,7 +59,7 @@ class ClosedEquations(Equations):
                 return q, qd - loops.change(loops.rates(qd)), factors
             q = self.integrate(q, -loops.change(loops.error))
             factors = self.factors(q)
-        raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
+        raise StepTooLargeError(f"a loop does not close: gap {gap:.2g} of its size", fault=Fault.OPEN)
 
     def constrain(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) with the loops closed, and the torques (n_v,) of their joints."""

@@ -62,7 +62,7 @@ class HingeFriction(Named):
             self.fix(**{name: float(not_negative(getattr(self, name), f"{self.label}: its {name}"))})
         if self.torque == self.coefficient * self.radius == self.damping == 0.0:
             raise MechanicsError(
-                f"{self.label}: it does nothing; give a torque, a coefficient or a damping",
+                f"{self.label}: it has no effect; give a torque, a coefficient or a damping",
                 fault=Fault.NO_STIFFNESS,
             )
         if not self.speed > 0.0:

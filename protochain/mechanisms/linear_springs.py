@@ -24,7 +24,7 @@ def constants(stiffness: float, damping: float, element: Named) -> dict[str, flo
     c = float(not_negative(damping, f"{element.label}: its damping"))
     if k == c == 0.0:
         raise MechanicsError(
-            f"{element.label}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
+            f"{element.label}: it has no effect; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
         )
     return {"stiffness": k, "damping": c}
 

@@ -45,7 +45,7 @@ class AppliedForce(Named):
 
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
-            raise MechanicsError(f"{self.label}: nothing acts; give a force or a moment")
+            raise MechanicsError(f"{self.label}: it has no effect; give a force or a moment")
         self.fix(
             at=numbers(self.at, (3,), f"{self.label}: its point"),
             force=_law(self.force, (3,), f"{self.label}: its force"),

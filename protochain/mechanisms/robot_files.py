@@ -160,5 +160,5 @@ def root_of(reading: Reading, source: str | Path, tag: str = "") -> Element:
     except (ElementTree.ParseError, UnicodeDecodeError, ValueError) as error:
         raise reading.refuse(f"it is not XML: {error}; give a URDF or MJCF file") from None
     if tag and root.tag != tag:
-        raise reading.refuse(f"its root is <{root.tag}>, not <{tag}>; see from_urdf and from_mjcf")
+        raise reading.refuse(f"its root is <{root.tag}>, not <{tag}>; use from_urdf or from_mjcf")
     return root

@@ -15,14 +15,14 @@ class Stop(Enum):
 
     TOLERANCE = "the largest torque or RMS force fell below the tolerance"
     NO_DESCENT = "no step lowers the energy any further"
-    CIRCLING = "the energy has found no new low for a long time"
-    BUDGET = "the evaluations allowed are used up"
-    SADDLE = "the energy falls on both sides of where the torques vanish"
+    CIRCLING = "no lower energy for a long time"
+    BUDGET = "the allowed evaluations are used up"
+    SADDLE = "the energy falls on both sides of the stationary point"
     NON_FINITE = "the energy or a torque is not a number"
     INTERRUPTED = "interrupted"
     STRAINED = (
         "bonds, angles and contacts are strained beyond what turning bonds can relieve without unfolding the "
-        "chain; relax moves all atoms and keeps the fold"
+        "chain; relax moves all atoms and preserves the fold"
     )
 
 

@@ -31,7 +31,7 @@ def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
     if len(threaded) > _SHOWN_RINGS:
         lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")
     if crowd or threaded:
-        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; relax keeps the fold")
+        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; relax preserves the fold")
     return lines
 
 
@@ -75,7 +75,7 @@ def describe_stray(structure: Structure, x: Floats) -> str:
     return f"{away:.1f} angstrom {_FROM_OVERLAPS}" if away > FAR else ""
 
 
-_FROM_OVERLAPS = "from a start whose atoms overlapped; relax keeps the fold"
+_FROM_OVERLAPS = "from a start whose atoms overlapped; relax preserves the fold"
 _HOLD = "a restraint or a largest RMSD"
 
 

@@ -98,11 +98,11 @@ class Landscape(Value):
         fixed = build_chain(chain, root="fixed" if chain.root == "fixed" else "auto")
         if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
             raise ProtochainError(
-                f"{name}: a search turns the bonds of one chain; give one, as by ", Argument("chains", "A"),
+                f"{name}: a search requires a single chain; select one, as by ", Argument("chains", "A"),
                 " and ", Argument("keep", "none"),
             )  # fmt: skip
         if not fixed.n_v:
-            raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more of them")
+            raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more kinds")
         return cls(fixed, energy, Restraints.of(fixed.structure, restraint) if restraint else None)
 
     @cached_property

@@ -200,17 +200,17 @@ class Ended(Child):
 @pytest.mark.parametrize(
     ("status", "said", "death"),
     [
-        (3, b"one\ntwo \n\n", "the process that minimised it ended with status 3: two"),
-        (0, b"", "the process that minimised it ended with status 0: "),
-        (0, b"x" * 5000, "the process that minimised it ended with status 0: " + 2000 * "x"),
+        (3, b"one\ntwo \n\n", "the minimisation process ended with status 3: two"),
+        (0, b"", "the minimisation process ended with status 0: "),
+        (0, b"x" * 5000, "the minimisation process ended with status 0: " + 2000 * "x"),
         # Cut within a letter.
         (
             2,
             "é".encode() * 1000 + b"x",
-            f"the process that minimised it ended with status 2: \ufffd{999 * 'é'}x",
+            f"the minimisation process ended with status 2: \ufffd{999 * 'é'}x",
         ),
-        (-9, b"one", "the process that minimised it was ended by SIGKILL, as when memory runs out"),
-        (-15, b"one", "the process that minimised it was ended by SIGTERM"),
+        (-9, b"one", "the minimisation process was ended by SIGKILL, as when memory runs out"),
+        (-15, b"one", "the minimisation process was ended by SIGTERM"),
     ],
 )
 def test_the_end_of_a_child_is_told(status, said, death, tmp_path):

@@ -208,7 +208,7 @@ def test_straying_is_told_once_and_at_once():
         x = middle + (1.0 + share * FAR / size) * (s.positions - middle)
         look(x)
         assert len(told) == (share > 1.0) == bool(describe_stray(s, x))
-    assert told == ["2.1 angstrom from a start whose atoms overlapped; relax keeps the fold"]
+    assert told == ["2.1 angstrom from a start whose atoms overlapped; relax preserves the fold"]
 
 
 def stretched(at):

@@ -117,7 +117,7 @@ def test_a_saddle_that_is_not_left_is_called_one(monkeypatch):
     monkeypatch.setattr("protochain.minimisers.saddle.ROUNDS", 0)
     r = pc.minimise(flat(), flat_energy(), "lbfgs")
     assert r.status is Status.SADDLE and r.end.energy == r.start.energy and not r.is_usable
-    assert r.message.startswith("saddle: the energy falls on both sides of where the torques vanish: ")
+    assert r.message.startswith("saddle: the energy falls on both sides of the stationary point: ")
     assert r.lowest_eigenvalue == pytest.approx(-8.94, abs=0.05)
 
 

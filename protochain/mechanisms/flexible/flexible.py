@@ -60,7 +60,7 @@ class Shapes(Value):
             array = read_only(getattr(self, name))
             if array.shape != shape or not np.all(np.isfinite(array)):
                 raise MechanicsError(
-                    f"{name} of a body of {n} sections and {k} shapes is no finite array of shape {shape}"
+                    f"{name} of a body of {n} sections and {k} shapes is not a finite array of shape {shape}"
                 )
             object.__setattr__(self, name, array)
 
@@ -103,7 +103,7 @@ class Flexible(Value):
         for b, (p, at) in enumerate(zip(self.tree.parent, self.section, strict=True)):
             carrier = self.shapes[p] if p >= 0 else None
             if not -1 <= at < (len(carrier.place) if carrier else 0):
-                raise BodyError(b, f"its parent has no section {at} to ride on")
+                raise BodyError(b, f"its parent has no section {at}")
 
     @cached_property
     def shape_start(self) -> Integers:
