@@ -115,7 +115,7 @@ def check_pull(pull: Pull, chain: Chain) -> None:
     groups = [{-2 if fixed[b] else b for b in row if b >= 0} for row in of_atoms.tolist()]
     if set.intersection(*groups):
         raise ChainError(
-            f"{chain.structure.name}: pull {pull}: both are in one rigid body, so no hinge acts on it; "
+            f"{chain.structure.name}: pull {pull}: no hinge changes this distance in one rigid body; "
             "give places farther apart, or open more hinges"
         )
     mass, x = chain.structure.atom_mass, chain.structure.positions

@@ -259,9 +259,9 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     read = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
     assert read.was_complete and replace(read, was_complete=False) == again
     table = stopped.with_suffix(".csv")
-    with pytest.raises(pc.ProtochainError, match="of another run"):
+    with pytest.raises(pc.ProtochainError, match="belongs to another run"):
         run_frames(ensemble, chosen.without_first(1), RELAX, table, stopped, resume=True)
-    with pytest.raises(pc.ProtochainError, match="of another run"):
+    with pytest.raises(pc.ProtochainError, match="belongs to another run"):
         run_frames(ensemble, chosen, RELAX, table, resume=True)
     stopped.unlink()
     with pytest.raises(pc.ProtochainError, match="is incomplete"):

@@ -261,7 +261,7 @@ def test_sharing_the_mass_of_atoms_on_the_axis_changes_nothing_but_the_bodies():
     single, frames = beads(0.0), pose(beads(0.0), q)
     tau = np.arange(7.0)
     assert np.allclose(solve_mass(single, frames, tau), np.linalg.solve(matrices[0], tau), atol=1e-13)
-    with pytest.raises(MechanicsError, match="body 1: a point or a line has no inverse inertia"):
+    with pytest.raises(MechanicsError, match=r"body 1: .* no usable inverse inertia"):
         solve_mass(single, frames, tau, "fixman")
     assert np.allclose(
         solve_mass(beads(0.5), frames, tau, "fixman"), np.linalg.solve(matrices[0], tau), atol=1e-13

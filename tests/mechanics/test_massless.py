@@ -236,5 +236,5 @@ def test_a_free_root_without_mass_needs_more_than_one_hinge():
 
 def test_fixmans_method_refuses_bodies_without_mass():
     tree = universal()
-    with pytest.raises(MechanicsError, match="body 0: a point or a line has no inverse inertia"):
+    with pytest.raises(MechanicsError, match=r"body 0: .* no usable inverse inertia"):
         solve_mass(tree, pose(tree, np.zeros(2)), np.zeros(2), "fixman")

@@ -366,7 +366,7 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 2, 0)]
         ([], Plane(), "at least one ball"),
         ([Ball("ball", 0.1)], Plane("ball"), "ball 0 belongs to the body"),
         ([Ball("ball", 0.1)], Plane(normal=(0, 0, 0)), "has no direction"),
-        ([Ball("ball", 0.0)], Surface("world", SQUARE, [(0, 1, 2)]), "give every ball a radius"),
+        ([Ball("ball", 0.0)], Surface("world", SQUARE, [(0, 1, 2)]), "give it a radius"),
         ([Ball("ball", 0.1)], Surface("world", SQUARE, [(0, 1, 2), (0, 1, 4)]), "triangle 1 has a corner"),
         ([Ball("ball", 0.1)], Surface("world", SQUARE, [(3, 2, 0)]), "triangle 0 has no area"),
         ([Ball("ball", 0.1)], Surface("world", SQUARE, [(0.0, 1.0, 2.0)]), "faces integers"),

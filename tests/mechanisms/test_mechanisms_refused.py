@@ -148,7 +148,7 @@ def test_what_cannot_be_is_refused_where_it_is_given(act, words):
             'friction "f": a screw has no pin',
         ),
         (lambda m: m.force("f", Nothing()), 'force "f": its bind() returns an empty Acting'),
-        (lambda m: (m.body("b", 1.0, inertia=1.0, spin=DOWN), m.hinge("h", "rod", "b")), "spin applies to free"),
+        (lambda m: (m.body("b", 1.0, inertia=1.0, spin=DOWN), m.hinge("h", "rod", "b")), "spin applies to"),
         (
             lambda m: m.contact("c", [BALL], Surface("tip", np.eye(2), np.array([[0, 1, 2]])), LAW),
             "vertices must be (n, 3) and faces (m, 3)",

@@ -168,7 +168,7 @@ def test_what_is_fixed_to_others_goes_to_mjcf_as_one_body(case):
         m = Mechanism.from_urdf(with_dummy(*DUMMIES[case]))
     m = without(m, HingeFriction)
     if case == "moving":
-        with pytest.raises(MechanicsError, match='body "hand": MuJoCo refuses an inertia'):
+        with pytest.raises(MechanicsError, match='body "hand": MuJoCo requires the triangle inequality'):
             m.to_mjcf()
         return
     ours, theirs = motion_of(m, mujoco.MjModel.from_xml_string(m.to_mjcf()), 2)

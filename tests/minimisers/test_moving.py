@@ -147,8 +147,8 @@ def test_atoms_that_move_by_hinges_are_counted_with_those_beyond():
         (lambda s: pc.minimise(s, solvent="gbn2"), r"pc\.energy\(structure, solvent=\.\.\.\) takes it"),
         (lambda s: pc.build_chain(s, keep="all"), r"pc\.load\(file, keep=\.\.\.\) takes it"),
         (lambda s: pc.load("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) reads chains of a file"),
-        (lambda s: pc.as_structure("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) takes"),
-        (lambda s: pc.minimise(s, chain="A"), r"pc\.load\(file, chains='A'\) takes"),
+        (lambda s: pc.as_structure("in.pdb", chain="A"), r"pc\.load\(file, chains='A'\) reads"),
+        (lambda s: pc.minimise(s, chain="A"), r"pc\.load\(file, chains='A'\) reads"),
     ],
 )  # fmt: skip
 def test_an_option_of_another_call_is_refused_with_its_place(call, place):
