@@ -183,10 +183,10 @@ CONTROLS = {"half the step": "half", "another order of sums": "nudged"}
 """Ends of the names of controls: what should not matter."""
 
 
-def runs_of(n_residues: int, energy: str, bodies: bool = False) -> tuple[str, ...]:
-    """Methods that are run of a structure, with or without other fixed bodies.
+def runs_of(n_residues: int, energy: str, is_first: bool = False) -> tuple[str, ...]:
+    """Methods that run for a structure. Methods that would need hours, or would not end, are skipped.
 
-    Methods that would not end in it, or take hours, are skipped.
+    Other fixed bodies and bounds run only from the first extended start of a peptide.
     """
     wanted = {_base(name) for name in METHODS}
     if n_residues > SMALL or energy != "obc2":
@@ -201,7 +201,7 @@ def runs_of(n_residues: int, energy: str, bodies: bool = False) -> tuple[str, ..
         for name in METHODS
         if _base(name) in wanted
         and not (few and name.endswith(("-nudged", "-fixed-half")))
-        and (bodies or not fixes_plane(name))
+        and (is_first or not (fixes_plane(name) or name.startswith("entropy-")))
     )
 
 
@@ -273,8 +273,8 @@ def cases(
                     continue
                 order = (m + (kind == "extended" and seed > 0), structure.n_atoms * (1 + seed))
                 case = Case(name, source, is_file, model, each, kind, seed)
-                bodies = is_small and kind == "extended" and not (seed or m or k)
-                found.append((order, case, runs_of(structure.n_residues, each, bodies)))
+                is_first = is_small and kind == "extended" and not (seed or m or k)
+                found.append((order, case, runs_of(structure.n_residues, each, is_first)))
     return [(case, methods) for _, case, methods in sorted(found, key=lambda each: each[0])]
 
 

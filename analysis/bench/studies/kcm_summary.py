@@ -521,13 +521,19 @@ def methods(runs: pd.DataFrame, above: pd.DataFrame, rows: pd.DataFrame) -> pd.D
     return pd.DataFrame(table)
 
 
+def _without_bounds(runs: pd.DataFrame) -> pd.DataFrame:
+    """Runs without those of bounded KCM, which start from the extended peptides only."""
+    return runs[~runs["method"].str.startswith("entropy-")]
+
+
 def cost(runs: pd.DataFrame) -> pd.DataFrame:
     """Lowest energy for equal cost, by method: medians over starts from which all in torsions have run.
 
     Energies, in kJ/mol, are above the lowest minimum of all methods in torsions from the same start, after so
     many evaluations and so many seconds; ``minimum`` is where the run leads.
     """
-    torsional = runs[(runs["method"] != "openmm") & ~runs["method"].map(fixes_plane)]
+    torsional = _without_bounds(runs)
+    torsional = torsional[(torsional["method"] != "openmm") & ~torsional["method"].map(fixes_plane)]
     n = torsional["method"].nunique()
     found = torsional[torsional.groupby(START)["method"].transform("nunique") == n]
     lowest = found.groupby(START)["energy_kj_mol"].transform("min")
@@ -552,7 +558,8 @@ def cost(runs: pd.DataFrame) -> pd.DataFrame:
 
 def deposited(runs: pd.DataFrame) -> pd.DataFrame:
     """C-alpha RMSD from deposited structures to the minima, of starts that every method has run from."""
-    own = runs[(runs["start"] == "deposited") & (runs["energy"] != "nonbonded")]
+    own = _without_bounds(runs)
+    own = own[(own["start"] == "deposited") & (own["energy"] != "nonbonded")]
     n = own["method"].nunique()
     own = own[own.groupby(START)["method"].transform("nunique") == n]
     of = own["rmsd_start_angstrom"].groupby(own["method"], sort=False)
