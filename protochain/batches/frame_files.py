@@ -19,7 +19,7 @@ from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import check_writable, claimed_files, writing
-from protochain.results.run_folder import GrowingTable, checkpoint_of, refuse_earlier, saving
+from protochain.results.run_folder import GrowingTable, checkpoint_of, refuse_earlier, refuse_existing, saving
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.files import format_of
 from protochain.structure.formats.frames import Frames, open_frames
@@ -155,17 +155,20 @@ class _Files:
         state = self._read_checkpoint(resume, force)
         self.counts: Counter[str] = Counter(state["counts"])
         self.n_rows, self.n_sound = state["rows"], state["sound"]
-        table.parent.mkdir(parents=True, exist_ok=True)
         self.trajectory: TrajectoryFile | None = None
         self.topology: Path | None = None
+        if trajectory is not None and not _in_text(trajectory):
+            self.topology = _topology_path(trajectory, ensemble)
+        if trajectory is not None and not (force or self.checkpoint.exists()):
+            refuse_existing([table, self.topology])
+        table.parent.mkdir(parents=True, exist_ok=True)
         if trajectory is not None:
             binary = trajectory.with_suffix(".dcd") if _in_text(trajectory) else trajectory
             place = tuple(state["trajectory"]) if state["trajectory"] else None
             self.trajectory = TrajectoryFile(
                 binary, ensemble.structure, resume_at=place, hydrogens=hydrogens or _in_text(trajectory)
             )
-            if not _in_text(trajectory):
-                self.topology = _topology_path(trajectory, ensemble)
+            if self.topology is not None:
                 save(ensemble.structure, self.topology, hydrogens=hydrogens)
         with writing(table):
             self.rows = GrowingTable(table, _columns(task, trajectory), state["bytes"])

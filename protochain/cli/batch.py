@@ -86,5 +86,9 @@ def batch(
         )  # fmt: skip
     if figure:
         write_figure(figure, partial(plot_distributions, result.table))
-    show = partial(print_batch, result.table, str(result.report))
+
+    def show() -> None:
+        print_batch(result.table, str(result.report))
+        options.print_files(figure)
+
     options.end_folder(output, show, as_json, result.interrupted, options.batch_status(result))

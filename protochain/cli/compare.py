@@ -67,7 +67,7 @@ def compare(
     check_folder(output, force)
     check_figure(figure)
     outputs = [*files_of(output, options.named_after(source)[0], chosen), figure]
-    options.check_outputs([source, reference], outputs, setup)
+    options.check_outputs([source, reference], outputs, setup, new=[] if force else outputs[:-1])
     context.with_resource(claim_folder(output, "comparison"))
     reference_structure = load(reference) if reference else None
     chain, energy, preparation = options.prepare(source, setup)
@@ -93,6 +93,7 @@ def compare(
         print_table(summary["results"])
         options.print_lost(summary["results"])
         tell(Kind.WRITTEN, f"written: {page} with tables, plots and structures in its folder")
+        options.print_files(figure)
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(options.fail(f"{source}: no method returned a usable structure. See {page}"))
     statuses = [str(solution.status) for solution in comparison.solutions]

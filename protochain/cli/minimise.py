@@ -86,7 +86,8 @@ def minimise(
     runs = _runs(source, output, setup, one_file)
     frames = [trajectory, part_of(trajectory)] if trajectory else []
     outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *extras.values()]
-    options.check_outputs([source, saving.resume], outputs, setup, force)
+    new = [] if force else [trajectory, saving.checkpoint, trace, ligand_out]
+    options.check_outputs([source, saving.resume], outputs, setup, force, new=new)
     context.with_resource(claimed_files(*frames))
 
     settings: dict[str, Any] = {"method": recipe, **vars(minimising)}
@@ -107,7 +108,10 @@ def minimise(
             if records[-1]["status"] == "interrupted":
                 break
     with options.redirect_messages(output):
-        _print(records, as_json, isinstance(setup.model, str))
+        lost = [line for record in records for line in record.get("not_written", ())]
+        requested = [Path(p) for p in (trajectory, trace, saving.checkpoint) if p]
+        further = [p for p in requested if p.exists() and not any(s.startswith(f"{p}: ") for s in lost)]
+        _print(records, as_json, isinstance(setup.model, str), further)
         if timings and not as_json:
             terminal.print_timings(records[0])
     raise typer.Exit(_status(records))
@@ -282,7 +286,7 @@ def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple[
     return search.best, search.overall()
 
 
-def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> None:
+def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool, further: list[Path]) -> None:
     if as_json:
         options.print_json({"models": records} if of_models else records[0])
         return
@@ -296,5 +300,5 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
     for record in records:
         terminal.print_written(record)
         options.print_files(
-            *record.get("confidences", ()), record.get("ligands_written"), record.get("report")
+            *record.get("confidences", ()), record.get("ligands_written"), record.get("report"), *further
         )

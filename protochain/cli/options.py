@@ -65,7 +65,7 @@ LigandOut = Annotated[
         "of known chemistry."
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
+Force = Annotated[bool, typer.Option("--force", help="Allow outputs to replace files, also the input.")]
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -352,9 +352,11 @@ def check_outputs(
     setup: Setup | None = None,
     force: bool | None = None,
     replaces: bool = True,
+    new: Sequence[str | Path | None] = (),
 ) -> None:
-    """Raise before any work if outputs would replace an input or each other, or cannot be written."""
+    """Raise before any work if outputs would replace an input, another or ``new``, or cannot be written."""
     from protochain.core.storage import check_writable
+    from protochain.results.run_folder import refuse_existing
     from protochain.structure.preparation.prepare import user_files
 
     inputs = [*(Path(path) for path in reads if path), *(user_files(setup.forcefield) if setup else ())]
@@ -368,6 +370,7 @@ def check_outputs(
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input. Give another name{instead}")
         check_writable(output)
+    refuse_existing(Path(path) for path in new if path)
     if existing := [str(output) for output in outputs if replaces and output.is_file()]:
         further = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
         tell(Kind.CHANGE, f"{existing[0]}{further}: will be replaced")

@@ -64,7 +64,7 @@ def relax(
     timings: options.Timings = False,
     as_json: options.AsJson = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Allow an output to replace the input, or files in the folder.")
+        bool, typer.Option("--force", help="Allow outputs to replace files, also the input.")
     ] = False,
     *,
     relaxing: RelaxSettings,
@@ -149,7 +149,8 @@ def _one(
     if output.is_dir():
         output = output / relaxed_name(source)
     options.check_names(output, report, ligand_out, as_json)
-    options.check_outputs([source], [output, report, ligand_out], setup, force)
+    new = [] if force else [ligand_out]
+    options.check_outputs([source], [output, report, ligand_out], setup, force, new=new)
     with measure_run(from_start=True):
         began = perf_counter()
         structure = setup.load(source)
@@ -215,7 +216,8 @@ def _several(
         raise ProtochainError(f"{folder}: several structures require an output folder")
     for path in extras:
         check_ligand_file(path)
-    options.check_outputs([manifest], [*replaceable_files(folder, RELAXED, resume, force), *extras], setup)
+    files = replaceable_files(folder, RELAXED, resume, force)
+    options.check_outputs([manifest], [*files, *extras], setup, new=[] if resume or force else extras)
     _report_trajectories(inputs)
     with batch_progress() as watch:
         result = relax_files(

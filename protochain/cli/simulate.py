@@ -60,7 +60,8 @@ def simulate(
         options.refuse(context, "friction", f"does not apply to thermostat {simulation.thermostat}")
     output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
-    options.check_outputs([source], [] if running.resume else files_of(output, running.trajectory), setup)
+    files = [] if running.resume else files_of(output, running.trajectory)
+    options.check_outputs([source], files, setup, new=[] if running.force else files)
     context.with_resource(claim_folder(output, "simulation", running.resume))
     chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:

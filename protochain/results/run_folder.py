@@ -20,6 +20,13 @@ def refuse_earlier(place: Path, run: str, *remedy: str | Argument) -> Protochain
     )
 
 
+def refuse_existing(files: Iterable[Path | None]) -> None:
+    """Raise if a further output exists, which ``force`` replaces."""
+    for file in files:
+        if file and file.exists():
+            raise ProtochainError(f"{file}: exists. Give another output, or ", *REPLACE)
+
+
 def checkpoint_of(table: Path) -> Path:
     """Return the path of the checkpoint of a growing table."""
     return table.with_name(f"{table.stem}.checkpoint.npz")

@@ -143,4 +143,4 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
     assert run(*begun, "--resume") == 4 and (here / "o.csv").read_bytes() == rows
     said = capsys.readouterr().err
     assert "o.csv: is complete, nothing to do" in said and "replaced" not in said
-    assert run(*begun) == 4
+    assert "o.csv: exists" in refusal(*begun) and run(*begun, "--force") == 4
