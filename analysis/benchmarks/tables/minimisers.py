@@ -230,7 +230,7 @@ GOALS = {"energy": "its energy", "force": "its RMS force"}
 def _named(row: pd.Series) -> str:
     """OpenMM's force: the solvent, and the class that computes it."""
     if row["force"] == "vacuum":
-        return "vacuum, no GB class"
+        return "no implicit solvent"
     return f"{'GBn2' if row['force'] == 'gbn2' else 'OBC2'}, {row['gb_class']}"
 
 
@@ -259,7 +259,7 @@ def race_medians(races: pd.DataFrame) -> str:
     return _medians(races)
 
 
-README_RACES = (("OBC2, GBSAOBCForce", 10), ("OBC2, GBSAOBCForce", 1), ("vacuum, no GB class", 10))
+README_RACES = (("OBC2, GBSAOBCForce", 10), ("OBC2, GBSAOBCForce", 1), ("no implicit solvent", 10))
 """Force and tolerance of the races in the README."""
 
 
@@ -286,7 +286,7 @@ def readme(relaxed: pd.DataFrame, races: pd.DataFrame, record: pd.DataFrame) -> 
         task = f"minimise, {force}, OpenMM's tolerance {tolerance}"
         lines.append((task, result, ratio(of["energy_whole"].median()), between(reached)))
     note = (
-        "Structures without an equally low energy count as never in the median, and are not in the range.",
+        "In the median, structures without an equally low energy count as infinitely slow. The range omits them.",
         f"{CLOSED} is not included. OpenMM's run closed its chain gaps, a different problem.",
     )
     files = ("relax.csv", *(f"race_{force}.csv" for force in FORCES))
