@@ -286,7 +286,8 @@ def readme(relaxed: pd.DataFrame, races: pd.DataFrame, record: pd.DataFrame) -> 
         task = f"minimise, {force}, OpenMM's tolerance {tolerance}"
         lines.append((task, result, ratio(of["energy_whole"].median()), between(reached)))
     note = (
-        "In the median, structures without an equally low energy count as infinitely slow. The range omits them.",
+        "In the median, structures without an equally low energy count as infinitely slow.",
+        "The range omits them.",
         f"{CLOSED} is not included. OpenMM's run closed its chain gaps, a different problem.",
     )
     files = ("relax.csv", *(f"race_{force}.csv" for force in FORCES))
