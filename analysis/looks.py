@@ -20,7 +20,7 @@ PAGES = {
     "minimise": "minimise 1l2y.pdb -o out.pdb --max-evaluations 60 --report page.html",
     "compare": "compare 1l2y.pdb -o out --methods lbfgs,kcm,hybrid,cartesian --max-evaluations 100",
     "relax": "relax 1l2y.pdb -o out.pdb --report page.html",
-    "ligand": "relax 1l2y.pdb --ligand pose.sdf -o out.pdb --report page.html",
+    "ligand": "relax 1l2y.pdb --ligands pose.sdf -o out.pdb --report page.html",
     "energy": "energy 1l2y.pdb --report page.html",
     "score": "score 3i40.pdb --solvent vacuum --report page.html",
     "modes": "modes ala10.pdb -o out --modes 3",

@@ -18,18 +18,20 @@ from protochain.chains.setup import ALL_MODELS, Setup, parse_models
 from protochain.core import defaults
 from protochain.core.checks import (
     MOLECULE_SUFFIXES,
+    RENAMED_KEYWORDS,
     check_fields,
     file_and_record,
     force_field_parts,
     instance,
     several,
 )
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.settings import Setting, document_settings, setting, settings_of
 from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.recipes import recipe_of
+from protochain.minimisers.restraints import Hold
 from protochain.minimisers.starts import refuse_restraints
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import NAMES as OF_RELAXING
@@ -54,7 +56,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     setup : Setup
         Settings for preparing the structure. ``threads`` is set by the batch.
     relaxing : RelaxSettings
-        Settings of ``relax``. If the batch has a tolerance, it replaces the tolerance here.
+        Settings of ``relax``. A tolerance and restraints of the batch, but no springs, replace those here.
     tolerance : float, optional
         As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` for several
         starts. By default, each uses its own default.
@@ -89,9 +91,15 @@ class BatchSettings(StartSettings, MinimiseSettings):
         for recipe in recipes:
             Minimisation(recipe, **self.minimising)
         if self.n_starts > 1:
-            refuse_restraints(self.restraint, self.max_rmsd)
+            refuse_restraints(self.restraints, self.max_rmsd)
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
         if RELAX in self.methods:
+            held = Hold.of(self.restraints)
+            if held != Hold() and not held.listed:
+                remedy = "springs of a minimisation; for relax give restraints, or ", Argument("stiffness")
+                raise refusal("restraints", f"{self.restraints!r}", *remedy)
+            restraints = held.listed or self.relaxing.restraints
+            object.__setattr__(self, "relaxing", replace(self.relaxing, restraints=restraints))
             _ = self.of_relaxing  # It may raise.
 
     @property
@@ -114,7 +122,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return a copy with settings replaced by name, also in the setup and in ``relax``."""
         refuse_unknown(settings, NAMES)
-        for group, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING)):
+        for group, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING - _SHARED)):
             parts = {name: settings.pop(name) for name in names if name in settings}
             if parts:
                 settings[group] = replace(settings.get(group, getattr(self, group)), **parts)
@@ -139,7 +147,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     def refuse_idle(self, names: Iterable[str], idle: frozenset[str] | None = None) -> None:
         """Raise for the first setting that no method uses, as it would have no effect."""
         idle = self.idle if idle is None else idle
-        name = next((name for name in names if name in idle), None)
+        name = next((name for name in names if name in idle - _SHARED), None)
         if name is not None:
             raise ProtochainError(
                 Argument(name), f": does not apply to {', '.join(self.methods)}; remove it, or choose other ",
@@ -154,7 +162,9 @@ class BatchSettings(StartSettings, MinimiseSettings):
 
     def record(self) -> dict[str, Any]:
         """Return the plain values by name on which the results of the methods depend."""
-        return {name: value for name, value in self.values().items() if name not in self.idle}
+        # Files call the restraints of minimisations ``restraint``, and those of ``relax`` ``restraints``.
+        values = self.values() | {"restraint": self.restraints}
+        return {name: value for name, value in values.items() if name not in self.idle}
 
 
 def refuse_unknown(names: Iterable[str], known_names: Sequence[str]) -> None:
@@ -174,9 +184,10 @@ def _truth(text: str) -> bool:
 
 _NO_VALUES = ("setup", "relaxing", "threads")
 _OF_SETUP = tuple(field.name for field in fields(Setup))
+_SHARED = {"tolerance", "restraints"}
 _OF_RELAXING = frozenset(OF_RELAXING) - {"tolerance"}
 _OF_MINIMISING = frozenset(field.name for kind in (MinimiseSettings, StartSettings) for field in fields(kind))
-_OF_MINIMISING = (_OF_MINIMISING - {"tolerance"}) | {*WITHOUT}
+_OF_MINIMISING = (_OF_MINIMISING - _SHARED) | {*WITHOUT, "restraint"}
 NAMES = tuple(dict.fromkeys((*(field.name for field in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
 """Settings of a batch's structures, by the names of their fields."""
 
@@ -197,9 +208,9 @@ _SETTINGS = {
 }
 _IN_MANIFEST = {name: _reader(option) for name, option in _SETTINGS.items()}
 """Columns of a manifest, except ``path``, and readers of their cells. Angles are in degrees."""
-_OF_OPTION = {option.column(name): name for name, option in _SETTINGS.items()}
-"""Fields by the names of their options. A manifest may use both names."""
-_COLUMNS = tuple(_OF_OPTION)
+_OF_OPTION = {c: n for n, option in _SETTINGS.items() for c in option.columns(n)} | RENAMED_KEYWORDS
+"""Fields by the names of their options. A manifest may use both names, and former ones."""
+_COLUMNS = tuple(option.columns(name)[0] for name, option in _SETTINGS.items())
 
 
 @dataclass(frozen=True)

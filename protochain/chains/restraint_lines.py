@@ -12,7 +12,7 @@ from protochain.core.checks import brief
 from protochain.core.errors import ProtochainError, refusal
 
 
-def read_restraints(source: Any, name: str = "restraint") -> tuple[Restraint, ...]:
+def read_restraints(source: Any, name: str = "restraints") -> tuple[Restraint, ...]:
     """Read restraints from a file (lines, AMBER or CNS), from Restraints, or from their lines."""
     if isinstance(source, Restraint):
         return (source,)

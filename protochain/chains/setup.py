@@ -71,7 +71,7 @@ class Setup(Settings):
     )
     rigid_protein: bool = setting(
         False,
-        "Move only poses (--ligand POSE), or without poses ligands of known chemistry.",
+        "Move only poses (--ligands POSE), or without poses ligands of known chemistry.",
         checks.flag,
         bool,
         doc="Whether only added poses move, or without poses all ligands of known chemistry. Sets ``move`` "
@@ -94,7 +94,7 @@ class Setup(Settings):
         "all",
         "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",
         checks.text,
-        option="--energy",
+        option="--terms --energy",
         doc="As in :func:`protochain.energy`.",
     )
     cutoff: float | Literal["auto"] | None = setting(
@@ -161,7 +161,7 @@ class Setup(Settings):
         (),
         "Chains to read, separated by commas [default: all].",
         checks.words,
-        option="--chain --chains",
+        option="--chains --chain",
         metavar="A,B",
         type="tuple of str",
     )
@@ -171,7 +171,7 @@ class Setup(Settings):
         "batch accept several poses, in a folder or a file, and add each separately. Repeat for more.",
         checks.ligands,
         list[str],
-        option="--ligand",
+        option="--ligands --ligand",
         metavar="NAME=SDF|MOL2|SMILES",
         type="tuple of (str, str)",
         doc="Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.",

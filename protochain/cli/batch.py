@@ -30,7 +30,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
-@options.with_settings(setup="trust_forcefield")
+@options.with_settings(setup="trust_forcefield", relaxing="restraints")
 def batch(
     context: typer.Context,
     inputs: Inputs = None,

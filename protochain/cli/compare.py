@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
 
 
-_NOT_COMPARED = "tolerance restraint max_rmsd"
+_NOT_COMPARED = "tolerance restraints max_rmsd"
 """Settings of a minimisation that a comparison does not have, or for which it has another default."""
 
 

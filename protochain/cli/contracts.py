@@ -187,7 +187,7 @@ _BOND = _row("kind change first second")
 
 _SETTINGS = {
     simulation.RECORD_NAMES.get(name, name): kind
-    for name, kind in get_type_hints(SimulationSettings).items()
+    for name, kind in get_type_hints(SimulationSettings).items() if name != "restraints"
 } | {"pull": str | None, "hinge_springs": list[str] | None, "restraint": list[str] | None}  # fmt: skip
 _SIMULATED = {
     **_row(simulation.RECORD), **_SETTINGS,
@@ -219,7 +219,7 @@ _SEARCHED = {
     **_row("acceptance round_trips seconds"),
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
     **_row("forcefield solvent engine device engine_reason"), **_RUN,
-    **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
+    **{k: v for k, v in get_type_hints(SearchSettings).items() if k not in ("temperatures", "restraints")},
     "restraint": list[str] | None,
 }  # fmt: skip
 _MINIMUM = _row(

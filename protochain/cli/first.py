@@ -25,13 +25,13 @@ def announce_duration(source: object, chain: "Chain", energy: "Energy", evaluati
 
 def minimise_first(
     chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED,
-    restraint: "Sequence[Restraint]" = (),
+    restraints: "Sequence[Restraint]" = (),
 ) -> "tuple[Solution, str]":  # fmt: skip
     """Minimise to a largest torque (kJ/mol/rad), with restraints. Return also a line about the changes."""
     from protochain.minimisers import minimise
 
     with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:
-        solution = minimise(chain, energy, METHOD, tolerance, seed=seed, restraint=restraint, watch=watch)
+        solution = minimise(chain, energy, METHOD, tolerance, seed=seed, restraints=restraints, watch=watch)
     if solution.status == "interrupted":
         raise KeyboardInterrupt
     energies = f"{solution.start.energy:.1f} -> {solution.end.energy:.1f} kJ/mol"

@@ -94,7 +94,7 @@ def minimise(
     if starting.n_starts == 1:
         solve: Any = partial(_once, trajectory=trajectory, **vars(saving), **settings)
     else:
-        refuse_restraints(minimising.restraint, minimising.max_rmsd)
+        refuse_restraints(minimising.restraints, minimising.max_rmsd)
         solve = partial(_minimise_often, **vars(starting), **settings)
     limit = minimising.max_evaluations
     lengths = starting.n_starts * terminal.typical_evaluations(recipe, limit), starting.n_starts * limit

@@ -61,7 +61,7 @@ FigureFile = Annotated[
 LigandOut = Annotated[
     Path | None,
     typer.Option(
-        help="SDF of the added poses (--ligand POSE), or, without poses or with --keep all, of all ligands "
+        help="SDF of the added poses (--ligands POSE), or, without poses or with --keep all, of all ligands "
         "of known chemistry."
     ),
 ]
@@ -87,7 +87,10 @@ def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..
         @wraps(command)
         def run(**arguments: Any) -> None:
             chosen = {name: arguments.pop(name) for name in options}
-            command(**arguments, **{name: _build_settings(kind, chosen) for name, kind in kinds.items()})
+            for name, kind in kinds.items():
+                given = {k: v for k, v in chosen.items() if k not in without.get(name, "").split()}
+                arguments[name] = _build_settings(kind, given)
+            command(**arguments)
 
         run.__signature__ = inspect.Signature([*plain, *options.values()])  # type: ignore[attr-defined]  # known at run time only
         return run
@@ -289,7 +292,7 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
 
 
 RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
-    name: setting.column(name)
+    name: setting.columns(name)[0]
     for kind in (
         *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),
         *(SearchSettings, SearchRunSettings),

@@ -72,7 +72,7 @@ def relax(
 ) -> None:
     """Remove overlaps and broken bonds from predicted models without changing the fold.
 
-    Several files, a folder, a pattern, a manifest, one file with several poses (--ligand POSES), or a run on
+    Several files, a folder, a pattern, a manifest, one file with several poses (--ligands POSES), or a run on
     a cluster write a folder with the table relaxed.csv. With --trajectory, or --frames of a file with models,
     every frame is relaxed into one trajectory and a table.
     """
@@ -97,7 +97,7 @@ def relax(
     options.refuse(context, "report", "applies to one structure. Several have report.html in their folder")
     options.refuse(context, "timings", "applies to one structure only")
     if ligand_out and not setup.poses:
-        raise ProtochainError(Argument("ligand_out"), " of several structures requires --ligand POSES")
+        raise ProtochainError(Argument("ligand_out"), " of several structures requires --ligands POSES")
     from protochain.batches.cluster import Processes
 
     extra_outputs = [ligand_out] if ligand_out else []

@@ -99,7 +99,7 @@ def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
 
 def _minimise(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise in torsions, report the changes, and return the coordinates."""
-    solution, line = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
+    solution, line = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraints)
     # Without loop constraints. The force field closes the loops, and their strain is minimised, too.
     note = ", then loops are constrained" if simulation.loops == "closed" else ""
     tell(Kind.PROGRESS, f"{line}{note}")

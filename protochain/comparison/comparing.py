@@ -28,7 +28,7 @@ from protochain.structure import as_structure
 from protochain.structure.matching import match
 
 SETTINGS = tuple(
-    f.name for f in fields(MinimiseSettings) if f.name not in ("tolerance", "restraint", "max_rmsd")
+    f.name for f in fields(MinimiseSettings) if f.name not in ("tolerance", "restraints", "max_rmsd")
 )
 """Settings of a minimisation that a comparison has too, without restraints to the start."""
 

@@ -6,6 +6,7 @@ A check receives a value and the name of its argument. It returns the value that
 import inspect
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from numbers import Integral, Real
@@ -28,9 +29,15 @@ def check_arguments(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R
         signature = inspect.signature(function)
         usual = {name: parameter.default for name, parameter in signature.parameters.items()}
         (keywords,) = [n for n, p in signature.parameters.items() if p.kind is p.VAR_KEYWORD] or [""]
+        renamed = {o: n for o, n in RENAMED_KEYWORDS.items() if (keywords or n in usual) and o not in usual}
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            for old, new in renamed.items():
+                if old in kwargs and new not in kwargs:
+                    message = f"{function.__name__}: {old}= is now {new}=; the old name will be removed"
+                    warnings.warn(message, DeprecationWarning, stacklevel=2)
+                    kwargs[new] = kwargs.pop(old)
             try:
                 bound = signature.bind(*args, **kwargs)
             except TypeError:
@@ -48,6 +55,10 @@ def check_arguments(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R
         return call
 
     return decorate
+
+
+RENAMED_KEYWORDS = {"restraint": "restraints"}
+"""New names of keywords by their former ones, which are accepted for one release."""
 
 
 def refuse_misplaced(call: str, name: str) -> None:

@@ -45,10 +45,11 @@ class Setting:
         """Names of the option of a field."""
         return self.option.split() or [f"--{field.replace('_', '-')}"]
 
-    def column(self, field: str) -> str:
-        """Name of a field in a manifest: the name of the option if this sets the field's value."""
-        name = self.names(field)[0]
-        return field if "/" in name or self.turns_off else name.removeprefix("--").replace("-", "_")
+    def columns(self, field: str) -> list[str]:
+        """Names of a field in a manifest, as its option's if this sets the value. Others are former names."""
+        if "/" in self.option or self.turns_off:
+            return [field]
+        return [name.removeprefix("--").replace("-", "_") for name in self.names(field)]
 
 
 def setting(default: Any, help: str, check: Check, kind: Any = str, option: str = "", **metadata: Any) -> Any:

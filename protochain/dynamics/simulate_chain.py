@@ -72,7 +72,7 @@ def simulate(
     watch: Watcher | None = None,
     pull: Pull | str | None = None,
     hinge_springs: HingeSpring | str | Sequence[HingeSpring | str] = (),
-    restraint: Any = (),
+    restraints: Any = (),
     superpose: bool = True,
 ) -> Simulation:
     """Simulate a chain of rigid bodies at constant energy or temperature.
@@ -236,8 +236,8 @@ def _prepare(
         biases["fixman_kj_mol"] = fixman(settings.thermal_energy, closure)
     if springs is not None:
         biases["hinge_springs_kj_mol"] = springs.potential
-    if settings.restraint:
-        restraints = Restraints.of(chain.structure, settings.restraint)
+    if settings.restraints:
+        restraints = Restraints.of(chain.structure, settings.restraints)
         biases["restraints_kj_mol"] = chain_potential(chain, restraints)
     if pull is not None and pull.speed == 0.0:
         biases["pull"] = pull.potential
@@ -264,7 +264,7 @@ def _prepare(
 
 def _holder(chain: Chain, settings: SimulationSettings) -> str:
     """Roots or restraints that fix the molecule in space, or an empty text if it can move as one."""
-    if any(restraint.is_external for restraint in settings.restraint):
+    if any(restraint.is_external for restraint in settings.restraints):
         return "restraints of positions"
     return "" if has_free_roots(chain.tree) else "a fixed root"
 

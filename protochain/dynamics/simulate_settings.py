@@ -255,9 +255,9 @@ class SimulationSettings(Settings):
         type="HingeSpring, str, or sequence of them",
     )
 
-    restraint: tuple[Restraint, ...] = setting(
+    restraints: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
-        read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+        read_restraints, list[str], "--restraints --restrain", metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
         doc="Restraints, their lines, or a file of them. The log has their energy.",
     )  # fmt: skip
@@ -321,7 +321,8 @@ class SimulationSettings(Settings):
 
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
-        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        # Files have the singular of restraints.
+        plain = {f.name.replace("restraints", "restraint"): getattr(self, f.name) for f in fields(self)}
         for name in ("hinge_springs", "restraint"):
             plain[name] = [str(value) for value in plain[name]] or None
         return plain | ({"pull": None} if self.pull is None else self.pull.record())

@@ -120,7 +120,7 @@ class Simulation(ViolationsAtEnd):
     def restraint_values(self) -> tuple[RestraintValue, ...]:  # type: ignore[override]
         """Values and violations of the restraints at the end."""
         x = place_atoms(self.chain, self.state.at.factors.frames)
-        return measure_restraints(self.chain.structure, self.settings.restraint, x)
+        return measure_restraints(self.chain.structure, self.settings.restraints, x)
 
     @property
     def structure(self) -> Structure:

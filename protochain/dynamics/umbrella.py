@@ -77,7 +77,7 @@ def umbrella(
     turns = coordinate.kind == "dihedral"
     if np.size(centres) < 2 or coordinate.kind == "position":
         raise ProtochainError("umbrella: give two centres or more, of a dihedral or a distance")
-    if of_windows := sorted({"q", "restraint", "watch"} & {*options}):
+    if of_windows := sorted({"q", "restraints", "watch"} & {*options}):
         raise ProtochainError("umbrella: ", Argument(of_windows[0]), " is set by the windows; remove it")
     at = np.sort(finite(centres, (np.size(centres),), "centres"))
     bins = _bins(at, 360.0 if turns else np.inf, edges)
@@ -90,7 +90,7 @@ def umbrella(
     for window in windows:
         rows = list[Any]()
         watch = partial(_append, rows)
-        result = simulate(cut, energy, q, temperature, restraint=window, watch=watch, **options)
+        result = simulate(cut, energy, q, temperature, restraints=window, watch=watch, **options)
         if not result.is_sound:
             raise ProtochainError(f"umbrella: window {window}: {result.message}")
         if len(rows) < n_equilibrate + 2:

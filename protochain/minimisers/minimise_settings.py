@@ -17,10 +17,12 @@ TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a nu
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm. Above this, any start has converged."""
 
 
-def _not_empty(text: str) -> str:
-    if not text.strip():
-        raise refusal("restraint", "''", "give strengths, a restraint or a file, or omit it")
-    return text
+def _not_empty(values: str | list[str]) -> str | tuple[str, ...]:
+    """Return the text of a cell, or the values of an option, or the only one."""
+    values = [values] if isinstance(values, str) else values
+    if not all(value.strip() for value in values):
+        raise refusal("restraints", "''", "give strengths, a restraint or a file, or omit it")
+    return values[0] if len(values) == 1 else tuple(values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +46,13 @@ class MinimiseSettings(Settings):
         defaults.SEED, "Seed of stochastic methods.", at_least(0), int,
         doc="Seed of ``anneal`` and ``openmm-md``. The other methods use no random numbers.",
     )  # fmt: skip
-    restraint: Any = setting(
+    restraints: Any = setting(
         "",
         "Successive springs to the start, kJ/mol/nm^2: '1000 100 0', or a restraint, as 'distance A:3:CA "
-        "A:9:CA 0 6 1000', or a file of restraints.",
+        "A:9:CA 0 6 1000', or a file of restraints. Repeat for more.",
         anything,
-        option="--restrain",
+        list[str],
+        option="--restraints --restrain",
         read=_not_empty,
         metavar="K...|LINE|FILE",
         type="float, sequence of float (kJ/mol/nm^2), or callable",

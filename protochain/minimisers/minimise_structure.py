@@ -54,7 +54,7 @@ def minimise(
     seed: int = defaults.SEED,
     *,
     q: Floats | None = None,
-    restraint: Any = "",
+    restraints: Any = "",
     max_rmsd: float = np.inf,
     curvature: bool | None = None,
     judge: str = defaults.JUDGE,
@@ -157,7 +157,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
     @property
     def start_hold(self) -> Hold:
         """Restraints to the start."""
-        return Hold.of(self.restraint, self.max_rmsd)
+        return Hold.of(self.restraints, self.max_rmsd)
 
     def settings(self, start: Start) -> dict[str, Any]:
         """Settings that a checkpoint must share with the run it continues."""

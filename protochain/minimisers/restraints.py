@@ -176,24 +176,24 @@ class Hold:
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
             strengths = " ".join(f"{strength:g}" for strength in self.strengths)
-            raise refusal("restraint", strengths, "give strengths in kJ/mol/nm^2, none below 0")
+            raise refusal("restraints", strengths, "give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
             raise refusal("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
 
     @classmethod
-    def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
+    def of(cls, restraints: Any, max_rmsd: float = np.inf) -> "Hold":
         """Read one strength, several, a string of them, a callable, or restraints, also from a file."""
-        if callable(restraint):
-            return cls((), max_rmsd, restraint)
-        if are_restraints(restraint):
-            return cls((), max_rmsd, listed=read_restraints(restraint))
+        if callable(restraints):
+            return cls((), max_rmsd, restraints)
+        if are_restraints(restraints):
+            return cls((), max_rmsd, listed=read_restraints(restraints))
         try:
-            values = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
+            values = restraints.split() if isinstance(restraints, str) else np.atleast_1d(restraints)
             strengths = tuple(float(strength) for strength in values)
         except (TypeError, ValueError):
             remedy = "give strengths in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
-            missing = "no such file; " * (isinstance(restraint, str) and is_missing(restraint))
-            raise refusal("restraint", f"{restraint!r}", missing + remedy) from None
+            missing = "no such file; " * (isinstance(restraints, str) and is_missing(restraints))
+            raise refusal("restraints", f"{restraints!r}", missing + remedy) from None
         return cls(strengths, max_rmsd)
 
     @property

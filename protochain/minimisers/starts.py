@@ -160,7 +160,7 @@ def explore(
     each : callable, optional
         Called with the number and solution of each start.
     **settings
-        As in :func:`protochain.minimise`, except ``restraint`` and ``max_rmsd``, which would refer to each
+        As in :func:`protochain.minimise`, except ``restraints`` and ``max_rmsd``, which would refer to each
         perturbed start.
 
     Returns
@@ -182,7 +182,7 @@ def explore(
     """
     MinimiseSettings(seed=seed)
     StartSettings(n_starts=n_starts, spread=spread)
-    refuse_restraints(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
+    refuse_restraints(settings.get("restraints", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain, energy = with_energy(chain, energy)
     solutions: list[Solution] = []
@@ -203,11 +203,11 @@ def explore(
     return Starts(chain, tuple(solutions))
 
 
-def refuse_restraints(restraint: Any, max_rmsd: float) -> None:
+def refuse_restraints(restraints: Any, max_rmsd: float) -> None:
     """Raise an error for restraints to the start, if there are many starts."""
-    if Hold.of(restraint, max_rmsd) != Hold():
+    if Hold.of(restraints, max_rmsd) != Hold():
         raise ProtochainError(
-            Argument("restraint"),
+            Argument("restraints"),
             " and ",
             Argument("max_rmsd"),
             " refer to each start's own structure; use one start",

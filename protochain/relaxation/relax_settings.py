@@ -98,7 +98,7 @@ class RelaxSettings(Settings):
     )  # fmt: skip
     restraints: tuple[Restraint, ...] = setting(
         (), "Further restraint, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
-        read_restraints, list[str], metavar="LINE|FILE",
+        read_restraints, list[str], "--restraints --restrain", metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
         doc="Restraints in addition to the springs, in all rounds: Restraints, lines, or a file.",
     )  # fmt: skip

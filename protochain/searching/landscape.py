@@ -84,7 +84,7 @@ class Landscape(Value):
     restraints: Restraints | None = None
 
     @classmethod
-    def of(cls, chain: Chain, energy: Energy, restraint: Any = ()) -> Landscape:
+    def of(cls, chain: Chain, energy: Energy, restraints: Any = ()) -> Landscape:
         """Fix the root of a chain.
 
         Raises
@@ -103,7 +103,7 @@ class Landscape(Value):
             )  # fmt: skip
         if not fixed.n_v:
             raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more kinds")
-        return cls(fixed, energy, Restraints.of(fixed.structure, restraint) if restraint else None)
+        return cls(fixed, energy, Restraints.of(fixed.structure, restraints) if restraints else None)
 
     @cached_property
     def _varying(self) -> Energy:

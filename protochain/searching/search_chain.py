@@ -86,7 +86,7 @@ def search(
     n_replicas: int = defaults.N_REPLICAS,
     pilot: int = defaults.PILOT,
     seed: int = defaults.SEED,
-    restraint: Any = (),
+    restraints: Any = (),
     output: str | Path | None = None,
     resume: bool = False,
     force: bool = False,
@@ -135,7 +135,7 @@ def search(
         raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")
     if folder is not None:
         check_folder(folder, resume, force)
-    landscape = Landscape.of(*with_energy(chain, energy), settings.restraint)
+    landscape = Landscape.of(*with_energy(chain, energy), settings.restraints)
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
     with nullcontext() if folder is None else claim_folder(folder, "search", resume=True):
         walks = _Walks(landscape, settings, folder, running)

@@ -74,9 +74,9 @@ class SearchSettings(Settings):
         doc="Seed of all random numbers. Results are bitwise equal for a seed, also after a kill, on any "
         "number of processes.",
     )  # fmt: skip
-    restraint: tuple[Restraint, ...] = setting(
+    restraints: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
-        read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+        read_restraints, list[str], "--restraints --restrain", metavar="LINE|FILE",
         type="Restraint, str, path-like, or sequence of them",
         doc="Restraints as in :func:`protochain.minimise`, as lines, or a file of them. All energies of the "
         "search include them.",
@@ -84,8 +84,8 @@ class SearchSettings(Settings):
 
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
-        plain = vars(self) | {"restraint": [str(restraint) for restraint in self.restraint] or None}
-        return plain | {"temperatures": [*self.temperatures]}
+        plain = vars(self) | {"temperatures": [*self.temperatures]}
+        return plain | {"restraint": [*map(str, plain.pop("restraints"))] or None}
 
 
 @dataclass(frozen=True, kw_only=True)

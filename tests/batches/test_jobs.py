@@ -47,8 +47,7 @@ MINIMISING = {
 """Those that ``relax`` does not have."""
 
 FIELDS = {
-    "restrain": "restraint", "starts": "n_starts",
-    "chain": "chains", "energy": "terms", "ligand": "ligands",
+    "restraints": "restraint", "starts": "n_starts",
 }  # fmt: skip
 """Fields by names of columns that are others."""
 
@@ -60,7 +59,10 @@ def names(inputs, settings=None, **options):
 def test_settings_are_recorded_by_name_but_for_threads():
     assert BatchSettings().record() == PLAIN
     assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
-    assert set(NAMES) == {*PLAIN, *OF_RELAX, "setup", "relaxing", "threads"} and NAMES[7] == "n_starts"
+    assert (
+        set(NAMES) == {*PLAIN, *OF_RELAX, "setup", "relaxing", "threads"} - {"restraint"}
+        and NAMES[7] == "n_starts"
+    )
 
 
 def test_settings_that_results_do_not_depend_on_are_not_recorded():
@@ -109,7 +111,7 @@ def test_a_setting_that_no_method_has_is_refused(tmp_path):
 def test_a_manifest_has_the_settings_of_relax():
     row = {
         "methods": "relax", "preset": "crystal", "stiffness": "200", "max-iterations": "9", "repack": "yes",
-        "max-outer-iterations": "2", "exclude": "resid 3", "keep_hydrogens": "no", "chain": "A",
+        "max-outer-iterations": "2", "exclude": "resid 3", "keep_hydrogens": "no", "chains": "A",
         "forcefield": "amber19", "tolerance": "3",
     }  # fmt: skip
     own = BatchSettings().read(row)
@@ -123,6 +125,33 @@ def test_a_manifest_has_the_settings_of_relax():
     ):
         with pytest.raises(pc.ProtochainError, match=said):
             BatchSettings().read({"methods": "relax", **cells})
+
+
+LINE = "distance A:1:CA A:10:CA 0 6 1000"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "cell"),
+    [("chain", "chains", "A"), ("energy", "terms", "nonbonded"), ("ligand", "ligands", "ABC=CCO"),
+     ("restrain", "restraints", LINE), ("restraint", "restraints", "100 0")],
+)  # fmt: skip
+def test_a_manifest_has_former_names_of_columns(old, new, cell):
+    assert BatchSettings().read({old: cell}) == BatchSettings().read({new: cell}) != BatchSettings()
+
+
+def test_restraints_are_of_all_methods_but_springs_of_minimisations():
+    both = BatchSettings(("relax", "lbfgs"), restraints=LINE)
+    assert both.relaxing.restraints == (pc.Restraint.read(LINE),)
+    assert both.record()["restraint"] == LINE and len(both.record()["restraints"]) == 1
+    (alone, minimised) = (both.changed(methods=(method,)).record() for method in ("relax", "lbfgs"))
+    assert "restraint" not in alone and "restraints" not in minimised and minimised["restraint"] == LINE
+    listed = BatchSettings(("relax",), relaxing=RelaxSettings(restraints=LINE))
+    assert listed.relaxing == both.relaxing
+    with pytest.raises(pc.ProtochainError) as refusal:
+        both.changed(restraints="1000 0")
+    said = "restraints '1000 0': springs of a minimisation; for relax give restraints, or stiffness"
+    assert str(refusal.value) == said
+    assert both.changed(methods=("lbfgs",), restraints="1000 0").restraints == "1000 0"
 
 
 def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
@@ -142,8 +171,8 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
    ({"spread": 1.0}, "spread: applies to several starts only; give n_starts 2 or more, or omit it"),
-        *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "
-           "use one start") for name, value in (("restraint", "5"), ("max_rmsd", 1.0))),
+        *(({"n_starts": 2, name: value}, "restraints and max_rmsd refer to each start's own structure; "
+           "use one start") for name, value in (("restraints", "5"), ("max_rmsd", 1.0))),
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(settings, said):
@@ -163,12 +192,12 @@ def test_methods_of_one_name_are_refused():
 def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
     row = {
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
-        "restrain": "5 0", "curvature": "no", "judge": "reference",
+        "restraints": "5 0", "curvature": "no", "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "device": "cpu", "cutoff": "2.5", "accuracy": "1e-3", "rigid_protein": "no",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
-        "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
-        "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
+        "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chains": "A, B", "terms": "nonbonded",
+        "ligands": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,

@@ -184,7 +184,7 @@ def test_a_folder_of_a_program_goes_through(done, program):
 def test_a_ligand_without_a_name_of_its_own_gets_its_chemistry(tmp_path):
     make(tmp_path, FOLDERS["Chai-1"])
     out = tmp_path / "out"
-    assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligand", "LIG1=Oc1ccccc1") == 0
+    assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligands", "LIG1=Oc1ccccc1") == 0
     assert "B:LIG1 1 moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
 
 
@@ -245,7 +245,7 @@ def test_each_record_of_a_docking_program_is_a_row_with_its_own_pose(tmp_path, m
             methanol.GetConformer().SetPositions(own - own[0] + place)
             writer.write(methanol)
     asked = (
-        "--ligand",
+        "--ligands",
         "poses.sdf",
         "--ligand-charges",
         "gasteiger",

@@ -54,7 +54,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
     first, *others = list(task.Task(job, tmp_path).run(1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    more = {"restraint": "", "max_rmsd": np.inf, "curvature": None, "judge": "auto"}
+    more = {"restraints": "", "max_rmsd": np.inf, "curvature": None, "judge": "auto"}
     more |= {"tolerance": 2.0, "max_evaluations": 9, "seed": 4}
     assert all(call[0] == 1 and call[2:] == ((), more) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]
@@ -75,8 +75,8 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
 
 def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkeypatch):
     monkeypatch.setattr(pc.Solution, "is_usable", False)
-    (row,) = task.Task(job_of("cartesian", max_rmsd=7.0, restraint="50 0"), tmp_path).run(1)
-    assert given.calls[0][3].items() >= {"restraint": "50 0", "max_rmsd": 7.0, "curvature": None}.items()
+    (row,) = task.Task(job_of("cartesian", max_rmsd=7.0, restraints="50 0"), tmp_path).run(1)
+    assert given.calls[0][3].items() >= {"restraints": "50 0", "max_rmsd": 7.0, "curvature": None}.items()
     assert "output" not in row.record and [path.name for path in tmp_path.iterdir()] == ["pages"]
     assert row.record["message"] and row.trace[0]["iteration"] == 0
 

@@ -68,8 +68,8 @@ def test_two_alpha_carbons_fix_no_frame_and_all_atoms_do():
 def test_what_holds_a_run_leaves_it_where_it_ran():
     s, e = load("1l2y.pdb"), energy("1l2y.pdb")
     held = {
-        "springs to the start": (chain("1l2y.pdb"), {"restraint": (100.0,)}),
-        "a restraint": (chain("1l2y.pdb"), {"restraint": lambda x: (0.0, np.zeros_like(x))}),
+        "springs to the start": (chain("1l2y.pdb"), {"restraints": (100.0,)}),
+        "a restraint": (chain("1l2y.pdb"), {"restraints": lambda x: (0.0, np.zeros_like(x))}),
         "atoms that stand still": (pc.build_chain(s, move="resid 5:9"), {}),
         "a fixed root": (pc.build_chain(s, root="fixed"), {}),
     }
@@ -78,7 +78,7 @@ def test_what_holds_a_run_leaves_it_where_it_ran():
         assert r.record()["frame"] == f"held by {why}"
         assert np.array_equal(r.x, pc.pose(c, r.q).x), why
         assert r.record()["ca_rmsd_as_filed_angstrom"] > r.ca_rmsd_angstrom + 1e-4
-    for options in ({"restraint": (100.0, 0.0)}, {"max_rmsd": 0.2}):
+    for options in ({"restraints": (100.0, 0.0)}, {"max_rmsd": 0.2}):
         r = pc.minimise(chain("1l2y.pdb"), e, "lbfgs", max_evaluations=40, **options)
         assert r.record()["frame"] == "superposed on the start"
 

@@ -106,7 +106,7 @@ def test_a_relaxed_scan_is_lower_and_keeps_the_dihedral():
     assert (relaxed["energy_kj_mol"] < rigid["energy_kj_mol"] - 1.0).all()
     for phi, value in zip((-110.0, -40.0), relaxed["energy_kj_mol"], strict=True):
         line, q = f"dihedral phi@A:2 {phi} {phi} 1e6", c.set({"phi A:2": phi})
-        held, free = (pc.minimise(c, e, "lbfgs", q=q, restraint=each).end.energy for each in (line, ""))
+        held, free = (pc.minimise(c, e, "lbfgs", q=q, restraints=each).end.energy for each in (line, ""))
         assert value == pytest.approx(held, abs=0.1) and value > free + 0.3
     assert (relaxed["status"] == "converged").all()
 

@@ -122,17 +122,17 @@ def test_every_run_takes_them():
     e = pc.energy(s, solvent="vacuum", threads=1)
     line = "distance A:3:CA A:15:CA 0 5 50000"
     assert distance(s, "A:3:CA", "A:15:CA") > 8.0
-    r = pc.minimise(s, e, restraint=line, max_evaluations=300)
+    r = pc.minimise(s, e, restraints=line, max_evaluations=300)
     assert distance(s, "A:3:CA", "A:15:CA", r.x) < 6.0 and r.restraints[1] < r.restraints[0]
     assert r.end.energy == pytest.approx(e(r.x)[0], rel=1e-6)  # No result contains them.
-    torsions = pc.minimise(s, e, "lbfgs", restraint=pc.Restraint.read(line), max_evaluations=300)
+    torsions = pc.minimise(s, e, "lbfgs", restraints=pc.Restraint.read(line), max_evaluations=300)
     assert distance(s, "A:3:CA", "A:15:CA", torsions.x) < 6.5
     clean = pc.relax(s, solvent="vacuum", threads=1, restraints=[line], stiffness=10.0, tolerance=50.0)
     assert distance(s, "A:3:CA", "A:15:CA", clean.x) < 6.0
     c = chain("ala10.pdb")
     held = pc.energy(c.structure, solvent="vacuum", threads=1)
     how = {"n_steps": 1500, "seed": 1, "every": 20, "time_step": 0.002, "friction": 20.0}
-    m = pc.simulate(c, held, restraint="dihedral phi@A:5 -60 -60 5000", **how)
+    m = pc.simulate(c, held, restraints="dihedral phi@A:5 -60 -60 5000", **how)
     phi = c.structure.with_positions(m.x).dihedrals()["phi"][4]
     assert abs((phi + 60.0 + 180.0) % 360.0 - 180.0) < 15.0
     assert m.trace["restraints_kj_mol"].iloc[-1] < 50.0 < m.trace["restraints_kj_mol"].iloc[0]
@@ -161,7 +161,7 @@ def test_frames_are_relaxed_under_them():
 )  # fmt: skip
 def test_what_cannot_be_held_is_refused(given, said):
     with pytest.raises(pc.ProtochainError, match=said):
-        pc.minimise(load("1l2y.pdb"), restraint=given, max_evaluations=2)
+        pc.minimise(load("1l2y.pdb"), restraints=given, max_evaluations=2)
 
 
 def test_damaged_tables_are_refused_by_their_name(tmp_path):
@@ -187,17 +187,17 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
         ("minimise", ["-o", "m.pdb", "--max-evaluations", 200]),
         ("relax", ["-o", "r.pdb", "--stiffness", 10]),
     ):  # fmt: skip
-        run(command, source, "--restraints" if command == "relax" else "--restrain", "r.txt", *more, *common)
+        run(command, source, "--restraints", "r.txt", *more, *common)
         told = json.loads(capsys.readouterr().out)
         x = pc.load(more[1]).positions
         assert distance(s, "A:1:CA", "A:10:CA", x) < 5.6, command
         assert told["energy_restraints_end_kj_mol"] < told["energy_restraints_start_kj_mol"]
     folder = ["-o", "sim", "--steps", 20, "--every", 10, "--no-relax", *common]
-    run("simulate", source, "--restrain", "r.txt", "--restrain", "dihedral 'phi A:5' -60 -50", *folder)
+    run("simulate", source, "--restraints", "r.txt", "--restraints", "dihedral 'phi A:5' -60 -50", *folder)
     assert len(json.loads(capsys.readouterr().out)["restraint"]) == 2
     assert "restraints_kj_mol" in (tmp_path / "sim" / "log.csv").read_text()
-    assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
-    assert "omit it" in refusal_as_said("minimise", source, "--restrain", "")
+    assert "give kind, places" in refusal_as_said("simulate", source, "--restraints", "distance A:1", *folder)
+    assert "omit it" in refusal_as_said("minimise", source, "--restraints", "")
 
 
 @pytest.mark.parametrize("edges", [None, np.arange(-190.0, 0.0, 10.0)])

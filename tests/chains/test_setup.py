@@ -23,9 +23,9 @@ OTHERWISE = {
     ("simulate", "time_step"): None,
     ("simulate", "superpose"): False,
     ("simulate", "hinge_springs"): None,
-    ("simulate", "restraint"): None,
+    ("simulate", "restraints"): None,
     ("minimise", "max_rmsd"): None,
-    ("minimise", "restraint"): None,
+    ("minimise", "restraints"): None,
 }
 """Defaults that commands have as none, or which an option turns off."""
 
@@ -57,6 +57,21 @@ def test_options_have_the_defaults_of_the_setup(command):
         assert own[name] in (setup[name], None), name
 
 
+@pytest.mark.parametrize(
+    ("field", "former", "commands"),
+    [
+        ("restraints", "restrain", "minimise simulate search relax batch"),
+        ("terms", "energy", "minimise compare simulate search batch"),
+        ("chains", "chain", "minimise compare simulate search relax batch validate score energy info mutate"),
+        ("ligands", "ligand", "minimise compare simulate relax batch validate score energy info mutate"),
+    ],
+)
+def test_an_option_has_the_name_of_its_argument_first_and_then_the_former_one(field, former, commands):
+    for command in commands.split():
+        (option,) = [option for option in COMMANDS[command].params if option.name == field]
+        assert option.opts == [f"--{field}", f"--{former}"], command
+
+
 def test_calls_have_the_defaults_of_the_setup():
     setup = vars(pc.Setup())
     for call in (pc.load, pc.build_chain, pc.energy):
@@ -66,7 +81,7 @@ def test_calls_have_the_defaults_of_the_setup():
     batch = given("batch")
     for value in (BatchSettings(), Processes()):
         own = {name: default for name, default in vars(value).items() if name in batch}
-        otherwise = {"methods", "max_rmsd", "spread", "curvature", "restraint"}
+        otherwise = {"methods", "max_rmsd", "spread", "curvature", "restraints"}
         own |= {name: batch[name] for name in own.keys() & otherwise}
         assert own == {name: batch[name] for name in own} and len(own) > 3
 

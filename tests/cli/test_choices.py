@@ -36,9 +36,9 @@ def test_chains_can_be_chosen(given):
 def test_a_chain_that_is_not_there_is_refused_with_those_that_are(protochain):
     with pytest.raises(pc.ProtochainError, match=r"3i40\.pdb: has no chain C; its chains are A, B"):
         pc.load(STRUCTURES / "3i40.pdb", chains="A,C")
-    status, _, err = protochain("info", STRUCTURES / "3i40.pdb", "--chain", "A,b")
+    status, _, err = protochain("info", STRUCTURES / "3i40.pdb", "--chains", "A,b")
     assert status == 2 and "has no chain b; its chains are A, B" in err
-    status, out, _ = protochain("info", STRUCTURES / "3i40.pdb", "--chain", "A", "--json")
+    status, out, _ = protochain("info", STRUCTURES / "3i40.pdb", "--chains", "A", "--json")
     assert status == 0 and json.loads(out)["n_residues"] == 21
 
 
@@ -135,7 +135,7 @@ def test_a_structure_on_standard_output_is_alone_there(protochain, three):
     assert "budget" in err and "written: standard output" in err
     _, out, _ = protochain(*run, "-o", "-", "--model", "2-3", "--one-file")
     assert len(gemmi.read_pdb_string(out)) == 2
-    _, out, _ = protochain("minimise", STRUCTURES / "1ubq.cif", "--chain", "A", "--max-evaluations", 5,
+    _, out, _ = protochain("minimise", STRUCTURES / "1ubq.cif", "--chains", "A", "--max-evaluations", 5,
                            "--solvent", "vacuum", "--method", "lbfgs", "-o", "-")  # fmt: skip
     assert len(gemmi.make_structure_from_block(gemmi.cif.read_string(out).sole_block())[0]) == 1
     status, out, err = protochain("build", "GPW", "-o", "-")
@@ -167,14 +167,14 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
     settings = settings.changed(solvent="vacuum")
     energy = pc.energy(load("ala10.pdb"), solvent="vacuum")
     rows = {}
-    for name, own in (("held", {"restraint": "1e5"}), ("many", {"n_starts": 3, "spread": np.radians(30)})):
+    for name, own in (("held", {"restraints": "1e5"}), ("many", {"n_starts": 3, "spread": np.radians(30)})):
         jobs = find_jobs([path], settings.changed(**own))
         tables = Tables(tmp_path / name, resume=False)
         tables.select_finished(jobs)
         tables.append(Task(jobs[0], tmp_path / name).run(1))
         tables.close()
         rows[name] = tables.read().iloc[0]
-    alone = pc.minimise(load("ala10.pdb"), energy, "lbfgs", max_evaluations=60, restraint=1e5)
+    alone = pc.minimise(load("ala10.pdb"), energy, "lbfgs", max_evaluations=60, restraints=1e5)
     assert rows["held"]["ca_rmsd_angstrom"] == pytest.approx(alone.ca_rmsd_angstrom, rel=1e-6)
     assert rows["held"]["restraint_kj_mol_nm2"] == "100000.0" and alone.ca_rmsd_angstrom < 0.5
     many = pc.explore(load("ala10.pdb"), energy, "lbfgs", 3, spread=np.radians(30), max_evaluations=60)

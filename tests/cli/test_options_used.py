@@ -28,7 +28,7 @@ from protochain.structure.formats.trajectory import TrajectoryFile
 pytestmark = [pytest.mark.usefixtures("interruptible"), pytest.mark.slow]
 
 QUICK = "--solvent vacuum --max-evaluations 3"
-LIGAND = "--ligand LIG=CCO --ligand-charges gasteiger"
+LIGAND = "--ligands LIG=CCO --ligand-charges gasteiger"
 RELAX = f"--solvent vacuum --max-iterations 2 --max-outer-iterations 1 {LIGAND}"
 MANY = ("relax several", "relax models", "relax manifest", "relax poses")
 """Whose results are a folder."""
@@ -41,7 +41,7 @@ PATHS = {
     "relax several": f"c.pdb d.pdb {RELAX}",
     "relax models": f"m.pdb --model all {RELAX}",
     "relax manifest": f"--manifest list.csv {RELAX}",
-    "relax poses": "p.pdb --ligand poses.sdf --ligand-charges gasteiger --solvent vacuum --max-iterations 2",
+    "relax poses": "p.pdb --ligands poses.sdf --ligand-charges gasteiger --solvent vacuum --max-iterations 2",
     "relax frames": f"m.pdb --frames all {RELAX}",
     "relax trajectory": f"c.pdb --trajectory ligand.dcd {RELAX}",
     "batch": f"p.pdb d.pdb --methods lbfgs {QUICK}",
@@ -51,8 +51,8 @@ PATHS = {
     "simulate": "p.pdb --no-relax --steps 4 --every 2 --solvent vacuum",
     "simulate pulled": "p.pdb --no-relax --steps 4 --pull A:1:N-A:5:C --solvent vacuum",
     "modes": "p.pdb --no-relax --modes 2 --solvent vacuum",
-    "validate": "c.pdb --ligand LIG=CCO",
-    "validate several": "c.pdb d.pdb --ligand LIG=CCO",
+    "validate": "c.pdb --ligands LIG=CCO",
+    "validate several": "c.pdb d.pdb --ligands LIG=CCO",
     "validate frames": "m.pdb --frames all",
     "score": f"c.pdb --solvent vacuum {LIGAND}",
     "score several": "c.pdb d.pdb --solvent vacuum",
@@ -76,8 +76,7 @@ PATHS = {
 VALUES = {
     "output": "other.pdb", "method": "newton", "angle": "0.001", "trace": "t.csv", "trajectory": "t.dcd",
     "report": "page.html", "ligand_out": "l.sdf", "checkpoint": "end.npz", "resume": "state.npz",
-    "tolerance": "700", "restraint": "position A:2:CA 0",
-    "restraints": "position A:2:CA 0", "max_rmsd": "0.5", "spread": "20",
+    "tolerance": "700", "restraints": "position A:2:CA 0", "max_rmsd": "0.5", "spread": "20",
     "manifest": "list.csv", "scheduler": "tcp://127.0.0.1:9", "frames": "0", "preset": "design",
     "protocol": "alphafold", "stiffness": "50", "exclude": "resid 2", "repack_region": "chainID A",
     "rebuild_side_chains": "resid 2", "sequence": "A=GGGGGG",

@@ -52,7 +52,7 @@ COMMANDS = [
     ("batch", "--dry-run"),
 ]  # fmt: skip
 REFUSED = [
-    ("rmsd", f"{CODES}.pdb"), ("info", "--chain", f"{CODES}"), (CODES,), ("info", f"--{CODES}"),
+    ("rmsd", f"{CODES}.pdb"), ("info", "--chains", f"{CODES}"), (CODES,), ("info", f"--{CODES}"),
 ]  # fmt: skip
 
 

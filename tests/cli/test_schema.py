@@ -82,7 +82,7 @@ def test_relax_with_a_ligand_and_an_interface(told, tmp_path):
             -1, f"HETATM{900 + k:5d}  {name:<3} LIG B   1    {place}  1.00  0.00           {name[0]}"
         )
     (tmp_path / "complex.pdb").write_text("\n".join(lines) + "\n")
-    given = ["complex.pdb", "--ligand", "LIG=CCO"]
+    given = ["complex.pdb", "--ligands", "LIG=CCO"]
     found = told("relax", *given, "--ligand-out", "out.sdf", "--posebusters", "--interface", "A:B")
     assert found["ligands"][0]["name"] == "LIG" and found["interface_contacts_end"] is not None
     assert told("validate", *given)["results"][0]["ligands"][0]["contacts"] > 0

@@ -136,7 +136,14 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     Chem.MolToMolFile(made, str(tmp_path / "pose.sdf"))
     page_file = tmp_path / "page.html"
     run(
-        "relax", protein, "--ligand", tmp_path / "pose.sdf", "-o", tmp_path / "out.pdb", "--report", page_file
+        "relax",
+        protein,
+        "--ligands",
+        tmp_path / "pose.sdf",
+        "-o",
+        tmp_path / "out.pdb",
+        "--report",
+        page_file,
     )
     page, said, _ = opened(browser, page_file)
     # Four heavy atoms, before and after; the viewer leaves hydrogens out.

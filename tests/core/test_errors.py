@@ -29,9 +29,9 @@ def said(monkeypatch, capsys, *arguments):
     ("arguments", "words"),
     [
         (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
-        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain -1: give strengths in kJ/mol/nm^2"),
-        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': no such file; give strengths"),
-        (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
+        (("minimise", SAMPLE, "--restraints", "-1"), "--restraints -1: give strengths in kJ/mol/nm^2"),
+        (("minimise", SAMPLE, "--restraints", "strong"), "--restraints 'strong': no such file; give"),
+        (("minimise", SAMPLE, "--starts", 3, "--restraints", 10), ": --restraints and --max-rmsd refer to"),
         (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30 degrees: give an angle"),
         (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0 degrees: give an angle above 0"),
         (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
@@ -50,14 +50,14 @@ def test_commands_hear_of_their_options(arguments, words, tmp_path, monkeypatch,
 def test_only_arguments_are_told_as_options():
     """Not words and names of files that look like them, nor arguments that no command has."""
     error = pc.ProtochainError(
-        "max_rmsd.pdb: a restraint: ", Argument("time_step"), " 3; give ", Argument("resume", True), ", ",
-        Argument("keep", "all"), ", ", Argument("restraint"), " or ", Argument("path"), " ", Angle(np.pi),
+        "max_rmsd.pdb: restraints: ", Argument("time_step"), " 3; give ", Argument("resume", True), ", ",
+        Argument("keep", "all"), ", ", Argument("restraints"), " or ", Argument("path"), " ", Angle(np.pi),
     )  # fmt: skip
     assert str(error) == (
-        'max_rmsd.pdb: a restraint: time_step 3; give resume=True, keep="all", restraint or path 3.14159 rad'
+        'max_rmsd.pdb: restraints: time_step 3; give resume=True, keep="all", restraints or path 3.14159 rad'
     )
     assert message_of(error) == (
-        "max_rmsd.pdb: a restraint: --time-step 3; give --resume, --keep all, --restrain or path 180 degrees"
+        "max_rmsd.pdb: restraints: --time-step 3; give --resume, --keep all, --restraints or path 180 degrees"
     )
     assert message_of(pickle.loads(pickle.dumps(error))) == message_of(error)
 

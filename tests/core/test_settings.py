@@ -8,7 +8,7 @@ from numpydoc.docscrape import FunctionDoc
 
 import protochain as pc
 from protochain.batches import BatchSettings
-from protochain.core.checks import number, text
+from protochain.core.checks import check_arguments, number, text
 from protochain.core.settings import Settings, document_settings, setting, settings_of
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
@@ -65,3 +65,25 @@ def test_functions_describe_every_setting_by_its_own_words(function, kinds):
     for kind in kinds:
         for name, each in settings_of(kind):
             assert described[name].endswith(each.doc or each.help), name
+
+
+@pytest.mark.parametrize("takes_more", [False, True])
+def test_a_former_keyword_is_accepted_with_a_warning_that_names_the_new_one(takes_more):
+    @check_arguments(restraints=text)
+    def hold(restraints=""):
+        return restraints
+
+    @check_arguments()
+    def pass_on(**settings):
+        return hold(**settings)
+
+    function = pass_on if takes_more else hold
+    with pytest.warns(
+        DeprecationWarning, match=f"{function.__name__}: restraint= is now restraints="
+    ) as seen:
+        assert function(restraint="500") == "500"
+    assert len(seen) == 1 and seen[0].filename == __file__
+    with pytest.raises(TypeError, match="'restraint'"):
+        function(restraint="500", restraints="400")
+    with pytest.warns(DeprecationWarning), pytest.raises(pc.ProtochainError, match="use one start"):
+        pc.explore(None, n_starts=2, restraint="500")

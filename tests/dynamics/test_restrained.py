@@ -52,13 +52,13 @@ def alone(x):
 
 
 HELD = [
-    (None, {"restraint": ANCHOR}, "restraints of positions"),
-    (None, {"restraint": pc.Restraint("position", ("name CA",), 0.0, 20.0)}, "restraints of positions"),
+    (None, {"restraints": ANCHOR}, "restraints of positions"),
+    (None, {"restraints": pc.Restraint("position", ("name CA",), 0.0, 20.0)}, "restraints of positions"),
     (in_field, {}, "its energy"), (in_sphere, {}, "its energy"), (in_map, {}, "its energy"),
 ]  # fmt: skip
 FREE = [
-    (None, {}), (None, {"restraint": TETHER}), (alone, {}), (None, {"pull": "A:1:CA-A:5:CA"}),
-    (None, {"restraint": pc.Restraint("position", ("name CA",), 0.0, 0.0, stiffness=0.0)}),
+    (None, {}), (None, {"restraints": TETHER}), (alone, {}), (None, {"pull": "A:1:CA-A:5:CA"}),
+    (None, {"restraints": pc.Restraint("position", ("name CA",), 0.0, 0.0, stiffness=0.0)}),
 ]  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def test_six_freedoms_are_taken_from_molecules_that_nothing_holds_alone(thermost
 @pytest.mark.parametrize("thermostat", ["none", "rescale", "nose-hoover"])
 def test_what_holds_a_molecule_takes_no_energy_every_100_steps(thermostat):
     m = simulate(
-        *peptide(), time_step=0.001, n_steps=400, every=10, seed=1, thermostat=thermostat, restraint=ANCHOR
+        *peptide(), time_step=0.001, n_steps=400, every=10, seed=1, thermostat=thermostat, restraints=ANCHOR
     )
     conserved, kinetic = m.trace["conserved_kj_mol"], m.trace["kinetic_kj_mol"]
     # Each removal took 0.1 to 0.4 kJ/mol.
@@ -91,7 +91,7 @@ def test_what_holds_a_molecule_takes_no_energy_every_100_steps(thermostat):
 def test_the_kinetic_energy_of_a_held_molecule_follows_the_gamma_law_of_all_freedoms():
     c, e, q = peptide()
     m = simulate(
-        c, e, q, 300.0, 0.0005, 220, "rescale", 4, friction=5000.0, every=1, restraint=ANCHOR
+        c, e, q, 300.0, 0.0005, 220, "rescale", 4, friction=5000.0, every=1, restraints=ANCHOR
     )  # fmt: skip
     energies = m.trace["kinetic_kj_mol"].to_numpy()[1:]
     assert kstest(energies, gamma(m.chain.n_v / 2, scale=KT).cdf).pvalue > 1e-3
@@ -106,7 +106,7 @@ def test_a_spring_to_a_place_has_three_halves_of_kt(thermostat):
     spring, atom = ANCHOR, c.structure.alpha_carbons[0]
     m = simulate(
         c, e, q, time_step=0.002, n_steps=40000, every=20, seed=3, thermostat=thermostat, friction=5.0,
-        restraint=spring,
+        restraints=spring,
     )  # fmt: skip
     energies = m.trace["restraints_kj_mol"].to_numpy()[200:]
     away = m.frames[200:, atom] - c.structure.positions[atom]
@@ -118,7 +118,7 @@ def test_a_spring_to_a_place_has_three_halves_of_kt(thermostat):
 
 def test_frames_of_a_held_molecule_stay_where_the_run_went_and_a_resumed_run_too(tmp_path):
     c, e, q = peptide()
-    settings = {"every": 10, "seed": 2, "thermostat": "rescale", "restraint": ANCHOR}
+    settings = {"every": 10, "seed": 2, "thermostat": "rescale", "restraints": ANCHOR}
     whole = simulate(c, e, q, n_steps=240, **settings)
     simulate(c, e, q, n_steps=120, output=tmp_path, **settings)
     m = simulate(c, e, q, n_steps=240, output=tmp_path, resume=True, **settings)
@@ -141,13 +141,13 @@ RESTRAINTS = {
 def test_a_command_minimises_with_its_restraints(line, tmp_path, capsys):
     source, folder = STRUCTURES / "ala10.pdb", tmp_path / "run"
     run(
-        "simulate", source, "-o", folder, "--steps", 40, "--every", 10, "--time-step", 2, "--restrain", line,
-        "--solvent", "vacuum", "--json",
+        "simulate", source, "-o", folder, "--steps", 40, "--every", 10, "--time-step", 2,
+        "--restraints", line, "--solvent", "vacuum", "--json",
     )  # fmt: skip
     printed = capsys.readouterr()
     record, log = json.loads(printed.out), pd.read_csv(folder / "log.csv")
     c = pc.build_chain(source)
-    before = pc.simulate(c, pc.energy(c, solvent="vacuum"), n_steps=1, restraint=line).trace[
+    before = pc.simulate(c, pc.energy(c, solvent="vacuum"), n_steps=1, restraints=line).trace[
         "restraints_kj_mol"
     ]
     assert before[0] > RESTRAINTS[line] and "restraints" in printed.err

@@ -45,9 +45,9 @@ def free_energy(dipeptide, monkeypatch):
     def drawn(potential, centres, edges=None, *, stiffness=60.0, n=400, repeats=0.0, seed=0):
         random = np.random.default_rng(seed)
 
-        def simulate(chain, energy, q, temperature, *, restraint, watch):
-            away = np.angle(np.exp(1j * np.deg2rad(GRID - restraint.lower)))
-            share = np.exp(-(potential(np.deg2rad(GRID)) + 0.5 * restraint.stiffness * away**2) / KT)
+        def simulate(chain, energy, q, temperature, *, restraints, watch):
+            away = np.angle(np.exp(1j * np.deg2rad(GRID - restraints.lower)))
+            share = np.exp(-(potential(np.deg2rad(GRID)) + 0.5 * restraints.stiffness * away**2) / KT)
             rows = random.choice(len(GRID), n, p=share / share.sum())
             for k in range(1, n):
                 rows[k] = rows[k - 1] if random.random() < repeats else rows[k]
@@ -157,7 +157,7 @@ def test_distances_are_not_negative():
         pc.umbrella(c, pc.energy(c), spring, [-1.0, 2.0])
 
 
-@pytest.mark.parametrize("option", ["q", "restraint", "watch"])
+@pytest.mark.parametrize("option", ["q", "restraints", "watch"])
 def test_what_the_windows_set_is_refused(option):
     c = pc.build_chain(pc.from_sequence("AA"), "phi")
     spring = pc.Restraint("dihedral", ("phi A:2",), 0, 0)

@@ -226,11 +226,11 @@ def test_an_energy_without_its_constant_terms_tells_all_of_them():
 
 def test_restraints_are_told_at_start_and_end_where_a_run_has_them():
     s = load("ala10.pdb")
-    held = pc.minimise(s, method="cartesian", restraint="500")
+    held = pc.minimise(s, method="cartesian", restraints="500")
     heavy = s.atom_element != "H"
     away = np.sum((held.x - s.positions)[heavy] ** 2)
     record = held.record()
     assert record["energy_restraints_start_kj_mol"] < 1e-20  # The pose is rounded.
     assert record["energy_restraints_end_kj_mol"] == pytest.approx(250.0 * away, rel=1e-9) != 0.0
-    released = pc.minimise(s, method="cartesian", restraint="500 0")
+    released = pc.minimise(s, method="cartesian", restraints="500 0")
     assert released.restraints is None and released.record()["energy_restraints_end_kj_mol"] is None

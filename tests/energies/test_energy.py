@@ -320,7 +320,7 @@ def test_a_callable_that_returns_something_else_is_refused(returned):
         lambda: CustomEnergy(lambda x: returned)(np.zeros((1, 3))),
         lambda: as_energy(lambda x: returned, load("ala10.pdb")),
         # A float was a bare TypeError, and forces of shape (3,) were taken for those of every atom.
-        lambda: pc.minimise(chain("ala10.pdb"), harmonic, "lbfgs", restraint=lambda x: returned),
+        lambda: pc.minimise(chain("ala10.pdb"), harmonic, "lbfgs", restraints=lambda x: returned),
     ):
         with pytest.raises(
             pc.ProtochainError, match=r"^(energy|restraint) .*<lambda>: return \(energy, forces\)"
@@ -346,7 +346,7 @@ def test_forces_that_are_not_of_the_energy_are_refused(wrong):
     with pytest.raises(pc.ProtochainError, match=said):
         as_energy(off(wrong), s)
     with pytest.raises(pc.ProtochainError, match=said.replace("energy", "restraint", 1)):
-        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", restraint=off(wrong))
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", restraints=off(wrong))
     # Springs to the start pull at nothing there.
     home = s.positions
     with pytest.raises(pc.ProtochainError, match="its forces are not those"):

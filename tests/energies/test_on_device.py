@@ -132,7 +132,7 @@ def test_forces_by_opencl_are_those_of_the_native_engine(structure, settings):
 def test_runs_by_opencl_end_as_those_on_the_processor():
     s, c = load(CAGE), chain(CAGE)
     e = pc.energy(s, device="opencl")
-    for options in ({}, {"restraint": 1000.0}):
+    for options in ({}, {"restraints": 1000.0}):
         here, there = (pc.minimise(c, each, **options) for each in (energy(CAGE), e))
         assert str(here.status) == str(there.status) == "converged"
         assert there.judge == here.judge and there.start.energy == here.start.energy
@@ -192,7 +192,7 @@ def test_what_it_does_not_move_stays_bit_for_bit(cuda):
     assert pc.minimise(chain(CAGE), e).ca_rmsd_angstrom > 0.1 and len(cuda) > 3
 
 
-@pytest.mark.parametrize("options", [{"restraint": lambda x: (1.0, 0.0 * x)}, {"method": "lbfgs"}])
+@pytest.mark.parametrize("options", [{"restraints": lambda x: (1.0, 0.0 * x)}, {"method": "lbfgs"}])
 def test_it_does_not_begin_what_it_cannot_have(cuda, options):
     r = pc.minimise(chain(CAGE), pc.energy(load(CAGE), device="cuda"), tolerance=20.0, **options)
     assert r.status == "converged" and not cuda

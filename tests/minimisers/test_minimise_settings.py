@@ -30,7 +30,7 @@ LBFGS = RECIPES["lbfgs"]
         ("lbfgs", {"tolerance": 1e308}, "tolerance 1e+308: give a number above 0, at most 1e6"),
         ("lbfgs", {"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ("lbfgs", {"seed": -1}, "seed -1: give 0 or more"),
-        ("openmm", {"restraint": 1.0},
+        ("openmm", {"restraints": 1.0},
      "method 'openmm' cannot be restrained to its start; choose cartesian or hybrid"),
         ("openmm", {"checkpoint": "run.npz"},
            "method 'openmm' has no state to resume from; choose another, or no checkpoint"),
@@ -47,7 +47,7 @@ def test_settings_that_make_no_sense_are_refused(recipe, settings, said):
 def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     c = chain("ala10.pdb")
     run = Minimisation(
-        LBFGS, tolerance=2.0, max_evaluations=7, seed=3, restraint=(5.0, 0.0), max_rmsd=0.75, checkpoint="a"
+        LBFGS, tolerance=2.0, max_evaluations=7, seed=3, restraints=(5.0, 0.0), max_rmsd=0.75, checkpoint="a"
     )
     assert run.settings(Start(c, told())) == {
         "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,

@@ -54,7 +54,7 @@ def test_values_and_violations_are_those_of_the_coordinates():
 def test_a_converged_run_with_a_violated_restraint_has_violations(line):
     c = chain("ala10.pdb")
     e = pc.energy(c.structure, solvent="vacuum", threads=1)
-    r = pc.minimise(c, e, "lbfgs", restraint=line, max_evaluations=400)
+    r = pc.minimise(c, e, "lbfgs", restraints=line, max_evaluations=400)
     (row,) = r.restraint_violations.to_dict("records")
     assert str(r.status) == "violations" and r.end.max_torque <= r.tolerance and r.is_usable
     assert row["restraint"] == line and line in r.message
@@ -81,7 +81,7 @@ def test_a_minimum_is_left_where_a_restraint_asks_for_it():
     assert sum((done.energy_end, done.restraints[1])) < sum((done.energy_start, done.restraints[0]))
     assert done.restraint_violations.empty and done.record()["restraints_violated"] == 0
     weak = pc.minimise(
-        lowest.structure, e, "lbfgs", restraint="dihedral phi@A:5 60 60 100", max_evaluations=400
+        lowest.structure, e, "lbfgs", restraints="dihedral phi@A:5 60 60 100", max_evaluations=400
     )
     assert weak.end.energy > weak.start.energy and weak.is_usable and weak.restraints[1] < weak.restraints[0]
 
@@ -126,7 +126,7 @@ def test_commands_report_violations(tmp_path, monkeypatch, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == "violations" and told["restraints_violated"] == 7
     assert [v["violation"] for v in told["restraint_violations"]] == pytest.approx(violations, abs=0.002)
-    assert run("minimise", source, "--restrain", "r.txt", "-o", "m.pdb", "--report", "m.html",
+    assert run("minimise", source, "--restraints", "r.txt", "-o", "m.pdb", "--report", "m.html",
                "--tolerance", 100, "--solvent", "vacuum") == 3  # fmt: skip
     assert "7 restraints violated" in capsys.readouterr().out
     assert "<caption>Restraints violated" in (tmp_path / "m.html").read_text()
@@ -137,7 +137,7 @@ def test_tables_of_batches_and_frames_have_violations(tmp_path, monkeypatch, cap
     source = STRUCTURES / "5awl.pdb"
     line = "distance A:1:CA A:10:CA 30 40 1"
     common = ["--solvent", "vacuum", "--workers", 1, "--json"]
-    run("batch", source, "-o", "b", "--restrain", line, "--tolerance", 100, *common)
+    run("batch", source, "-o", "b", "--restraints", line, "--tolerance", 100, *common)
     (row,) = csv.DictReader((tmp_path / "b" / "summary.csv").read_text().splitlines())
     assert (row["status"], row["restraints_violated"]) == ("violations", "1")
     assert float(row["restraint_violation_angstrom"]) > 10.0 and row["restraint_violation_degrees"] == ""
@@ -156,13 +156,19 @@ def test_simulations_report_their_ends(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     how = ["--steps", 10, "--every", 5, "--no-relax", "--solvent", "vacuum"]
     run(
-        "simulate", STRUCTURES / "ala10.pdb", "-o", "sim", "--restrain", "distance A:1:CA A:10:CA 0 2 1", *how
+        "simulate",
+        STRUCTURES / "ala10.pdb",
+        "-o",
+        "sim",
+        "--restraints",
+        "distance A:1:CA A:10:CA 0 2 1",
+        *how,
     )
     assert "1 restraint violated" in capsys.readouterr().out
     assert "<caption>Restraints violated" in (tmp_path / "sim" / "report.html").read_text()
     c = chain("ala10.pdb")
     e = pc.energy(c.structure, solvent="vacuum", threads=1)
-    m = pc.simulate(c, e, n_steps=10, restraint=["distance A:1:CA A:10:CA 0 2 1", "position 'name CA' 5 1"])
+    m = pc.simulate(c, e, n_steps=10, restraints=["distance A:1:CA A:10:CA 0 2 1", "position 'name CA' 5 1"])
     (row,) = m.restraint_violations.to_dict("records")
     assert row["value"] == pytest.approx(distance(m.x, m.chain.structure, "1", "10"))
     assert m.record()["restraints_violated"] == 1 and m.record()["restraint_violations"] == [row]

@@ -114,12 +114,12 @@ OR = " in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"restraint": -0.5}, "restraint -0.5: give strengths in kJ/mol/nm^2, none below 0"),
-        ({"restraint": (1.0, np.inf)}, "restraint 1 inf: give strengths in kJ/mol/nm^2, none below 0"),
-        ({"restraint": "much"}, "restraint 'much': no such file; give strengths{OR}"),
-        ({"restraint": [[]]}, "restraint [[]]: give strengths{OR}"),
-        ({"restraint": (), "max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
-        ({"restraint": (), "max_rmsd": np.nan}, "max_rmsd nan: give a number of angstrom above 0"),
+        ({"restraints": -0.5}, "restraints -0.5: give strengths in kJ/mol/nm^2, none below 0"),
+        ({"restraints": (1.0, np.inf)}, "restraints 1 inf: give strengths in kJ/mol/nm^2, none below 0"),
+        ({"restraints": "much"}, "restraints 'much': no such file; give strengths{OR}"),
+        ({"restraints": [[]]}, "restraints [[]]: give strengths{OR}"),
+        ({"restraints": (), "max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
+        ({"restraints": (), "max_rmsd": np.nan}, "max_rmsd nan: give a number of angstrom above 0"),
     ],
 )  # fmt: skip
 def test_what_cannot_hold_is_refused(given, said):

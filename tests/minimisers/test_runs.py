@@ -51,7 +51,7 @@ def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(me
     heavy = s.atom_element != "H"
     moved = []
     for strength in (10.0, 10_000.0):
-        r = pc.minimise(c, e, method, restraint=strength)
+        r = pc.minimise(c, e, method, restraints=strength)
         assert r.status == Status.CONVERGED and "restraints included" in r.message
         assert r.end.energy == pytest.approx(e(r.x)[0], abs=1e-6)
         assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)

@@ -135,7 +135,7 @@ def test_with_fixed_atoms_the_others_end_in_a_minimum(n_fixed):
 def test_restraints_are_part_of_the_hessian():
     s = chain("ala10.pdb").structure
     e = energy("ala10.pdb")
-    stiff = pc.minimise(s, e, "cartesian", tolerance=0.1, restraint=(1000.0,))
+    stiff = pc.minimise(s, e, "cartesian", tolerance=0.1, restraints=(1000.0,))
     free = pc.minimise(s, e, "cartesian", tolerance=0.1)
     assert stiff.lowest_eigenvalue > 10.0 * free.lowest_eigenvalue > 0.0
 

@@ -168,8 +168,8 @@ def test_a_solution_from_a_perturbed_start_is_superposed_on_the_structure_given(
         ({"seed": -1}, "seed -1: give 0 or more"),
         ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
         ({"spread": np.inf}, "spread inf rad: give an angle above 0"),
-        ({"restraint": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
-        ({"max_rmsd": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
+        ({"restraints": 3.0}, "restraints and max_rmsd refer to each start's own structure; use one start"),
+        ({"max_rmsd": 3.0}, "restraints and max_rmsd refer to each start's own structure; use one start"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options, said):

@@ -158,4 +158,4 @@ def test_what_is_no_method_is_refused():
     with pytest.raises(TypeError, match="'restrain'"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restrain=100.0)
     with pytest.raises(pc.ProtochainError, match="1000 100 0"):
-        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restraint="strong")
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restraints="strong")

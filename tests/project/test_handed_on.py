@@ -92,7 +92,7 @@ def frame_energy(r, e):
 KINDS = {
     "solution": solution,
     "all atoms": lambda: pc.minimise(chain(), own(), "cartesian", max_evaluations=40),
-    "held": lambda: pc.minimise(chain(), own(), "lbfgs", restraint=1e4, max_evaluations=20),
+    "held": lambda: pc.minimise(chain(), own(), "lbfgs", restraints=1e4, max_evaluations=20),
     "simulation": lambda: pc.simulate(chain(), own(), n_steps=20, every=20, pull="A:1:CA-A:4:CA"),
     "relaxation": relaxed,
     "starts": lambda: pc.explore(chain(), own(), "lbfgs", 2, max_evaluations=30),

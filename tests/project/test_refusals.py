@@ -69,10 +69,10 @@ def test_calls_are_refused(act, said):
         ("simulate {ala} --pull-speed 0.1", "--pull-speed requires --pull"),
         ("minimise {ala} --forcefield {text}", "text.xml: not a force-field XML file"),
         ("minimise {ala} --forcefield {smirnoff}", "SMIRNOFF|no OpenMM"),
-        ("minimise {ala} --ligand {text}", "give NAME=SMILES, NAME=FILE, or a file of"),
-        ("minimise {ala} --ligand {empty}", "has 0 molecules; give a file with one"),
-        ("minimise {ala} --ligand {atoms}", "has no atoms; give a file with one molecule"),
-        ("minimise {ala} --ligand {flat}", "has no coordinates in space; dock it first"),
+        ("minimise {ala} --ligands {text}", "give NAME=SMILES, NAME=FILE, or a file of"),
+        ("minimise {ala} --ligands {empty}", "has 0 molecules; give a file with one"),
+        ("minimise {ala} --ligands {atoms}", "has no atoms; give a file with one molecule"),
+        ("minimise {ala} --ligands {flat}", "has no coordinates in space; dock it first"),
     ],
 )  # fmt: skip
 def test_commands_are_refused(command, said, tmp_path, monkeypatch):

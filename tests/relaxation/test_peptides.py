@@ -37,7 +37,7 @@ def pulled(structure, residue, degrees):
         return value + 1.5e3 * off**2, forces
 
     chain = pc.build_chain(structure)
-    return pc.minimise(chain, pc.energy(structure), "cartesian", restraint=pull)
+    return pc.minimise(chain, pc.energy(structure), "cartesian", restraints=pull)
 
 
 def with_omega(structure, residue, degrees):
@@ -80,7 +80,7 @@ def test_a_bond_beyond_the_barrier_is_turned_to_trans_in_the_first_round(bent):
     told = "A:SER13: twisted peptide bond before it turned to trans"
     assert [str(each) for each in r.peptides_turned] == [told] == sentences(r.structure)[-1:]
     assert r.record()["peptides_turned"] == [told] and r.ca_rmsd_angstrom < 0.4
-    alone = pc.minimise(bent, pc.energy(bent), "cartesian", restraint=4184.0)
+    alone = pc.minimise(bent, pc.energy(bent), "cartesian", restraints=4184.0)
     assert np.sum(omegas(bent, alone.x).cis | omegas(bent, alone.x).twisted) == 1
 
 

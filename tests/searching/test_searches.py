@@ -132,7 +132,7 @@ def test_minima_are_minima_with_their_energies(peptide, whole):
 def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(method, peptide, tmp_path):
     line = "dihedral phi@A:2 50 70 4000"
     more = {**SMALL, "n_replicas": 2, "pilot": 3} if method == "tempering" else SMALL
-    given = {"restraint": [line], "output": tmp_path / "s", **more}
+    given = {"restraints": [line], "output": tmp_path / "s", **more}
     found = pc.search(*peptide, method, options(method)[0] // 2, **given)
     held = Restraints.of(found.chain.structure, [line])
     for q, value in zip(found.q[:4], found.energies[:4], strict=True):
@@ -147,7 +147,7 @@ def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(metho
     assert found.minima["free_energy_kj_mol"].isna().all()
     assert json.loads((tmp_path / "s" / "summary.json").read_text())["restraint"] == [line]
     with pytest.raises(pc.ProtochainError, match="restraint"):
-        pc.search(*peptide, method, 9000, resume=True, **{**given, "restraint": ()})
+        pc.search(*peptide, method, 9000, resume=True, **{**given, "restraints": ()})
 
 
 def test_the_judge_of_single_precision_counts_restraints_as_well(peptide):

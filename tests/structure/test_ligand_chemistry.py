@@ -365,7 +365,7 @@ def placed_atoms(path):
 def test_a_rigid_protein_stays_as_its_file_has_it_and_the_pose_moves(tmp_path):
     pose, other = posed(tmp_path, "CC(=O)NCCS", away=0.08), embedded("OCCO", away=0.9)
     path, out, sdf = beside(tmp_path, other, "EDO", label="A{}"), tmp_path / "out.pdb", tmp_path / "out.sdf"
-    run("relax", path, "--ligand", "EDO=OCCO", "--ligand", pose, "--keep", "all", "--rigid-protein",
+    run("relax", path, "--ligands", "EDO=OCCO", "--ligands", pose, "--keep", "all", "--rigid-protein",
         "--ligand-out", sdf, "-o", out)  # fmt: skip
     assert placed_atoms(out) == placed_atoms(path) and len(placed_atoms(out)) > 100
     moved, stayed = (each.GetConformer().GetPositions() for each in Chem.SDMolSupplier(str(sdf)))
@@ -407,7 +407,7 @@ def test_poses_of_a_file_are_joined_each_under_a_name_before_other_ligands(tmp_p
         for each in smiles:
             poses.write(embedded(each))
     path = beside(tmp_path, embedded("OCCO", away=0.9), "EDO", label="A{}")
-    run("relax", path, "--ligand", "EDO=OCCO", "--ligand", tmp_path / "poses.sdf", "--keep", "all",
+    run("relax", path, "--ligands", "EDO=OCCO", "--ligands", tmp_path / "poses.sdf", "--keep", "all",
         "--rigid-protein", "--ligand-out", out, "-o", tmp_path / "relaxed", "--workers", 1)  # fmt: skip
     made = [*Chem.SDMolSupplier(str(out))]
     assert [Chem.MolToSmiles(each) for each in made] == [smiles[0], "OCCO", smiles[1], "OCCO"]

@@ -237,7 +237,7 @@ def test_commands_write_the_ligands(tmp_path, capsys):
         "--max-evaluations",
         "30",
         PROTEIN,
-        "--ligand",
+        "--ligands",
         pose,
         "-o",
         saved,

@@ -162,7 +162,7 @@ def test_an_unknown_residue_of_a_racemate_is_named_and_the_other_chain_offered(t
 
         main()
     said = capsys.readouterr().err
-    assert ended.value.code == 2 and said.endswith("take only what has none: --chain A\n")
+    assert ended.value.code == 2 and said.endswith("take only what has none: --chains A\n")
 
 
 def d_arginine(tmp_path, is_d, alone=False):

@@ -134,7 +134,7 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
     v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
     assert v.ligands[0].posebusters is None and v.ligands[0].strain_kj_mol > 0
     assert "posebusters" in v.posebusters_missing and "pip install" in v.posebusters_missing
-    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters") == 0
+    assert run("validate", PROTEIN, "--ligands", pose, "--posebusters") == 0
     assert capsys.readouterr().out.count("pip install") == 1
 
 
@@ -149,7 +149,7 @@ def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
         assert row[f"clashes_{when}"] == record[f"ligand_clashes_{when}"] == found.clashes
         assert row[f"contacts_{when}"] == found.contacts and row[f"posebusters_passed_{when}"] is None
     assert row["strain_end_kj_mol"] < row["strain_start_kj_mol"]
-    run("relax", PROTEIN, "--ligand", pose, "-o", out, "--json", "--posebusters")
+    run("relax", PROTEIN, "--ligands", pose, "-o", out, "--json", "--posebusters")
     (said,) = json.loads(capsys.readouterr().out)["ligands"]
     assert type(said["posebusters_passed_end"]) is bool
     assert said["strain_end_kj_mol"] == pytest.approx(row["strain_end_kj_mol"], rel=1e-6)
@@ -225,7 +225,7 @@ def test_the_motion_of_one_pose_and_of_several_is_printed_and_in_the_tables(tmp_
     poses = tmp_path / "poses.sdf"
     poses.write_text("".join(posed(tmp_path, away=a).read_text() + "$$$$\n" for a in (0.15, 0.25)))
     folder, page = tmp_path / "out", tmp_path / "page.html"
-    assert run("relax", PROTEIN, "--ligand", poses, "--rigid-protein", "-o", folder, "--workers", 1) == 0
+    assert run("relax", PROTEIN, "--ligands", poses, "--rigid-protein", "-o", folder, "--workers", 1) == 0
     said, table = capsys.readouterr().out, pd.read_csv(folder / "relaxed.csv")
     starts = [pc.load(PROTEIN, ligands=f"{poses}#{k}") for k in (1, 2)]
     ends = [pc.relax(s, move="ligand").x for s in starts]
@@ -235,7 +235,7 @@ def test_the_motion_of_one_pose_and_of_several_is_printed_and_in_the_tables(tmp_
         f"ligands: median RMSD {np.median(expected[:, 0]):.2f}, largest {expected[:, 0].max():.2f}, "
         f"largest displacement {expected[:, 1].max():.2f} angstrom" in said
     )
-    one = ("--ligand", f"{poses}#1", "--rigid-protein", "-o", tmp_path / "one.pdb")
+    one = ("--ligands", f"{poses}#1", "--rigid-protein", "-o", tmp_path / "one.pdb")
     assert run("relax", PROTEIN, *one, "--report", page) == 0
     said = " ".join(capsys.readouterr().out.split())
     rmsd, farthest = expected[0]
