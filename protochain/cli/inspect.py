@@ -10,10 +10,12 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import options
+from protochain.cli.lines import is_verbose, with_detail
 from protochain.core.checks import force_field_parts
 from protochain.core.markup import plural
 
 
+@with_detail
 @options.with_settings(setup="engine device move rigid_protein terms solvent cutoff accuracy threads")
 def info(
     source: options.Input,
@@ -76,7 +78,10 @@ def info(
     if as_json:
         options.print_json(facts)
         return
-    for key, value in facts.items():
+    for name, value in facts.items():
+        if name in _DETAILS and not is_verbose():
+            continue
+        key = _NAMES.get(name, name.removeprefix("n_").replace("_", " "))
         if isinstance(value, list):
             print(f"{key}: {len(value)}")
             for line in value:
@@ -85,6 +90,11 @@ def info(
             print(f"{key}: {', '.join(f'{count} {name}' for name, count in value.items()) or 'nothing'}")
         else:
             print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
+
+
+_NAMES = {"loops": "ring closures", "hinges": "kinds of hinges"}
+_DETAILS = {"n_bodies", "n_q", "n_v", "seconds_import", "seconds_preparation", "seconds_chain"}
+"""Facts that only ``--verbose`` and ``--json`` print."""
 
 
 def build(

@@ -24,10 +24,7 @@ _SHOWN = (
     "clashscore_per_1000_atoms", "seconds",
 )  # fmt: skip
 """Columns of the terminal."""
-_MEANING = (
-    "ddg is an energy difference of minimised structures, not a free energy. "
-    "How far it follows experiment is measured in analysis/docs/relax.md#mutations."
-)
+_MEANING = "ddg is an energy difference of minimised structures, not a free energy."
 _TEXT = (
     "Change of stability (ddg) of each mutant: its energy less that of the wild type, less the same in "
     f"pentapeptides GGXGG. Side chains near the site are rebuilt and relaxed alike on both sides. {_MEANING} "
@@ -110,10 +107,12 @@ def mutate(
 def _print(mutation: "Mutation") -> None:
     """Print the energies of a mutant, and their meaning."""
     ddg, bound, unfolded = mutation.ddg, mutation.interface_change, mutation.unfolded
-    parts = f"{mutation.change:.1f} kJ/mol, in GGXGG {'-' if unfolded is None else f'{unfolded:.1f}'}"
+    peptide = "" if unfolded is None else f", minus {unfolded:.1f} in the peptide GGXGG"
+    stability = "not known" if ddg is None else f"{ddg:+.1f} kJ/mol (above 0: less stable)"
     tell(
         Kind.VERDICT,
-        f"change of stability (ddg): {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
+        f"{','.join(mutation.mutations)}: change of stability (ddg) {stability}: "
+        f"energy {mutation.change:+.1f} kJ/mol in the protein{peptide}",
         *([] if bound is None else [f"change of the energy of binding: {bound:+.1f} kJ/mol"]),
     )
     tell(

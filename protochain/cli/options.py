@@ -261,9 +261,10 @@ def print_changes(
         tell(Kind.CHANGE, *changes, *([listed] if len(changes) < len(repairs) else []))
         warn(warnings)
     else:
-        if repairs:
+        if len(repairs) > 1:
             tell(Kind.READ, "; ".join(filter(None, [counts_of_changes(repairs), listed])))
-        warn([*summarise(filter(needs_action, repairs), as_option), *warnings])
+            repairs = tuple(filter(needs_action, repairs))
+        warn([*summarise(repairs, as_option), *warnings])
 
 
 VIOLATIONS_SHOWN = 5

@@ -321,10 +321,11 @@ def print_simulation(record: dict[str, Any]) -> None:
         Kind.RESULT,
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{share}\n"
         f"{_pull_line(record)}"
-        f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"
-        f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
-        f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}",
+        f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom, "
+        f"to the input {_distance(record['ca_rmsd_input_angstrom'])} angstrom",
     )
+    filed = _distance(record["ca_rmsd_input_as_filed_angstrom"])
+    tell(Kind.MORE, f"to the input without superposition {filed} angstrom; frames: {record['frame']}")
     print_violations(record)
     print_lost([record])
     tell(Kind.WRITTEN, f"written: {record['output']}")
@@ -396,7 +397,8 @@ def print_written(record: dict[str, Any]) -> None:
     print_violations(record)
     tell(Kind.RESULT, *describe_remains(record, residues_shown()))
     superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))
-    tell(Kind.RESULT, f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
+    tell(Kind.RESULT, f"C-alpha RMSD to the start {superposed} angstrom")
+    tell(Kind.MORE, f"without superposition {filed} angstrom; coordinates: {record['frame']}")
     tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")
 
 

@@ -1,5 +1,6 @@
 """``protochain validate``."""
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -149,6 +150,8 @@ def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
     for shown in tables:
         cells = ([Path(row["file"]).name, *(row[key] for key in shown)] for row in rows)
         print_rows(["file", *shown.values()], cells)
+    legend = "; ".join(f"{title}: {MEASURES[key].what}" for key, title in tables[0].items())
+    print(*textwrap.wrap(legend, 80), sep="\n")
     for row in rows:
         lines = row["findings"]
         further = f"and {plural(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"

@@ -173,7 +173,14 @@ def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
     of_setup = tuple(field.name for field in fields(Setup) if field.name not in WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
-        raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")
+        from difflib import get_close_matches
+
+        names = {name.lower(): name for name in (*NAMES, *of_setup)}
+        near = [names[name] for name in get_close_matches(unknown.lower(), names, 1)]
+        suggestion = f"did you mean {near[0]}? " if near else ""
+        raise ProtochainError(
+            f"relax has no option {unknown!r}; {suggestion}it takes {', '.join(names.values())}"
+        )
     relaxing = RelaxSettings(**{name: value for name, value in options.items() if name in NAMES})
     return relaxing, relaxing.setup(
         Setup(**{name: value for name, value in options.items() if name in of_setup})

@@ -235,10 +235,14 @@ def _verdict(
     broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += breaks if broken else ""
+    violated = describe_violations(restraint_values)
+    if violated and springs:
+        springs_to_input = f"springs to the input of up to {max(settings.strength.backbone):g} kJ/mol/nm^2"
+        violated[-1] += f"; {springs_to_input} may oppose it: lower their stiffness, or exclude the residues"
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_newly_inverted(problems), isomerised=_bonds_before(problems, _newly_reversed(problems)),
-        problems=[*describe_problems(problems), *describe_violations(restraint_values)],
+        problems=[*describe_problems(problems), *violated],
     )  # fmt: skip
 
 

@@ -208,7 +208,7 @@ MEASURES = {
     ),
     "ramachandran_outliers": Measure("Ramachandran outliers", "rama", lambda f: len(f.ramachandran.outliers)),
     "ramachandran_favoured_percent": Measure(
-        "Ramachandran favoured, per cent", "fav %", lambda f: f.ramachandran.favoured_percent, False
+        "Ramachandran favoured, per cent", "fav%", lambda f: f.ramachandran.favoured_percent, False
     ),
     "rotamer_outliers": Measure(
         "side chains far from every rotamer", "rota", lambda f: len(f.side_chains.outliers)
@@ -224,7 +224,7 @@ MEASURES = {
     ),
     "twisted_peptides": Measure("twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())),
     "inverted_stereocentres": Measure(
-        "inverted stereocentres", "inverted", lambda f: len(f.inverted_stereocentres)
+        "inverted stereocentres", "inv", lambda f: len(f.inverted_stereocentres)
     ),
     "other_double_bonds": Measure(
         "double bonds of ligands with the other E/Z", "", lambda f: len(f.double_bonds)

@@ -84,7 +84,7 @@ def test_minimise_names_its_output_after_input_and_method(
     assert Path(output).read_text() == text_of("budget", Path(output).suffix)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-3:] == [
-        "m: ended budget", "C-alpha RMSD 0.12 angstrom, as filed 1.50: where it was", f"written: {output}"
+        "m: ended budget", "C-alpha RMSD to the start 0.12 angstrom", f"written: {output}"
     ]  # fmt: skip
 
 

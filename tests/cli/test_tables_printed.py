@@ -57,8 +57,9 @@ def test_a_table_has_a_row_for_each_record_and_their_messages_below(
 def test_a_result_is_said_with_both_distances_from_its_start(output, said, capsys):
     record = {"ca_rmsd_angstrom": 1.234, "ca_rmsd_as_filed_angstrom": 20.5, "frame": "where it was"}
     terminal.print_written(record | {"output": output})
-    distances, written = lines_of(capsys)
-    assert numbers(distances) == [1.23, 20.5] and "where it was" in distances and written.endswith(said)
+    distance, filed, written = lines_of(capsys)
+    assert numbers(distance) == [1.23] and numbers(filed) == [20.5] and "where it was" in filed
+    assert written.endswith(said)
 
 
 def summary(n_failed):

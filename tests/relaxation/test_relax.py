@@ -229,6 +229,7 @@ def test_another_engine_is_judged_by_the_reference_platform():
         ({"max_outer_iterations": 0}, "max_outer_iterations 0: give at least 1"),
         ({"hinges": "phi"}, "relax has no option 'hinges'"),
         ({"method": "lbfgs"}, "relax has no option 'method'"),
+        ({"pH": 4.0}, "did you mean ph?"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options, said):

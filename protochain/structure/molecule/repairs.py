@@ -171,10 +171,7 @@ class Kind(Enum):
         "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}",
         rank=Rank.LEFT_OUT,
     )
-    NEAR = Words(
-        "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
-        "no known kind of bond): {pairs:6}"
-    )
+    NEAR = Words("{count:n pair} of atoms as near as bonded ones, but not bonded in the file: {pairs:2}")
     STAYS = Words(
         "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
     )
@@ -420,12 +417,13 @@ _ACTION = frozenset({
     Kind.NOT_A_NUMBER, Kind.BLOCKS_LEFT_OUT, Kind.NO_END, Kind.EXCLUDED, Kind.COINCIDENT, Kind.NO_BACKBONE,
     Kind.TORN, Kind.GAP, Kind.BOND_IGNORED, Kind.NEAR, Kind.STAYS_UNKNOWN, Kind.NO_PARAMETERS,
     Kind.CHARGE_UNSURE, Kind.INVERTED, Kind.OTHER_ANOMER, Kind.SUGAR_INVERTED, Kind.NUCLEOTIDES_STAY,
-    Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED,
+    Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED, Kind.ASSEMBLY,
+    *(kind for kind in Kind if kind.value.rank is Rank.LOSS and kind is not Kind.ALTERNATES),
 })  # fmt: skip
 
 
 def needs_action(repair: Repair) -> bool:
-    """Whether a user should check a change, and perhaps correct the file."""
+    """Whether a user should check a change: a loss, a choice of the model, or an error in the file."""
     return repair.kind in _ACTION
 
 

@@ -97,6 +97,7 @@ def report_links(draft: Draft) -> Changes:
     for link, reason in draft.contacts.refused:
         yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=reason)
     if overlapping := [*draft.contacts.overlapping, *_overlapping_pairs(draft, draft.contacts.protein)]:
+        overlapping.sort(key=lambda link: link.length)
         pairs = tuple(AtomDistance(link.atoms, link.length) for link in overlapping)
         yield Repair.of(Kind.NEAR, count=len(pairs), pairs=pairs)
 
