@@ -60,7 +60,8 @@ def plot_paths(points: pd.DataFrame, rows: pd.DataFrame) -> Figure:
         path = points[points["method"] == name]
         energy.plot(path["path_nm"], path["energy_kj_mol"], **style[name].line(name))
     energy.set(
-        xscale="log", xlabel="path length, nm (RMS movement by mass)", ylabel="potential energy, kJ/mol",
+        xscale="log", xlim=(1e-3, None), ylabel="potential energy, kJ/mol",
+        xlabel="path length, nm (RMS movement by mass)",
         title=f"Bounded KCM falls along a path as short as that of dynamics: {points['protein'].iloc[0]}",
     )  # fmt: skip
     deposited = rows[rows["start"] == "deposited"].sort_values("residues", kind="stable")

@@ -269,7 +269,7 @@ def kcm_methods(rows: pd.DataFrame) -> str:
         yield f"{row['evaluations']:.0f}"
         yield mean(row, "path_rad", "{:.2f}")
         yield mean(row, "path_nm", "{:.2f}")
-        yield mean(row, "largest_step_nm", "{:.4f}")
+        yield mean(row, "largest_step_nm", "{:.2g}")
         yield mean(row, "entropy_loss_j_mol_k", "{:.0f}")
 
     def percent_of(row: pd.Series) -> str:
