@@ -442,8 +442,9 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
     removed = [plural(facts["count"], "water") for facts in log[Kind.WATERS_LEFT_OUT]]
     removed += [f"{count.n} {count.kind}" for count in molecules]
     removed += [f"altlocs of {plural(len(log[Kind.ALTERNATES]), 'residue')}"] if log[Kind.ALTERNATES] else []
-    parts = (added, "added"), (included, "kept"), (removed, "removed")
-    return "; ".join(f"{abridge(names, _SHOWN)} {verb}" for names, verb in parts if names)
+    charges = [f"charge of {facts['residue']} {facts['charge']}" for facts in log[Kind.BOUND]]
+    parts = (added, " added"), (included, " kept"), (charges, ""), (removed, " removed")
+    return "; ".join(f"{abridge(names, _SHOWN)}{verb}" for names, verb in parts if names)
 
 
 def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
