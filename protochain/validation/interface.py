@@ -256,7 +256,7 @@ def score_interface(
     Examples
     --------
     >>> pc.score_interface("structures/3i40.pdb", "A", "B").scores["hydrogen_bonds"]
-    6
+    7
     """
     structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)

@@ -121,7 +121,7 @@ def test_a_setup_reads_the_words_of_the_command_line():
     ):  # fmt: skip
         with pytest.raises(pc.ProtochainError, match=why):
             pc.Setup(**wrong)
-    with pytest.raises(pc.ProtochainError, match="model all: one structure"):
+    with pytest.raises(pc.ProtochainError, match="model all: only one model"):
         pc.Setup(model="all").prepare(SAMPLE)
 
 

@@ -52,7 +52,7 @@ def test_nobody_waits_for_helpers_that_do_not_come(monkeypatch):
 def test_helpers_leave_when_there_is_nothing_to_do():
     together = on(3)
     together(X)
-    until(lambda: together._helping == 0)
+    until(lambda: together._n_helping == 0)
     assert same(together(X), on(1)(X))
 
 

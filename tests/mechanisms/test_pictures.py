@@ -169,7 +169,7 @@ def test_a_strip_shows_the_rows_next_to_its_times():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda run: run.view(shapes=["crank"]), "shapes: 'crank' is none"),
+        (lambda run: run.view(shapes=["crank"]), "shapes: 'crank' is not a shape"),
         (lambda run: run.view(shapes=[Ball("cranks", 0.1)]), 'shapes: there is no body "cranks"; there are'),
         (lambda run: run.view(frames=0), "frames 0: give a whole number from 1"),
         (lambda run: run.view(title=3), "title 3: give a text"),

@@ -43,7 +43,7 @@ def test_every_step_of_kcm_turns_the_hinge_of_largest_torque_by_the_angle():
     ("recipe", "angle", "said"),
     [
         ("lbfgs", 0.01, "angle: does not apply to 'lbfgs'; choose from kcm, kcm-2norm, kcm-sign, "),
-        ("kcm-proportional", 0.01, "angle: method 'kcm-proportional' has none"),
+        ("kcm-proportional", 0.01, "angle: does not apply to 'kcm-proportional'"),
         ("kcm", 0.0, "angle 0: give a number above 0, at most pi, in rad"),
         ("kcm", np.nan, "angle nan: give a number above 0, at most pi, in rad"),
         ("kcm", 30.0, "angle 30: give a number above 0, at most pi, in rad"),

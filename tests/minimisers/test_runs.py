@@ -153,7 +153,7 @@ def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
             pc.minimise(c, e, resume=file, **options)
     with pytest.raises(pc.ProtochainError, match="start"):
         pc.minimise(pc.build_chain(pc.from_sequence("AAAAAAAAAA")), e, "lbfgs", resume=file)
-    for content, word in ((b"", "no checkpoint"), (file.read_bytes()[:300], "no checkpoint")):
+    for content, word in ((b"", "not a checkpoint"), (file.read_bytes()[:300], "not a checkpoint")):
         bad = tmp_path / "bad.npz"
         bad.write_bytes(content)
         with pytest.raises(pc.ProtochainError, match=word):

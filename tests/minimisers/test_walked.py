@@ -58,11 +58,11 @@ def test_a_walk_in_all_atoms_looks_at_its_end_at_tight_tolerances_or_if_asked(no
     for tolerance, curvature, looks in asked:
         run = walked(noted, method, tolerance=tolerance, curvature=curvature)
         found = [stage for stage in noted.plan if stage.looks]
-        assert bool(found) is looks is run.examines
+        assert bool(found) is looks is run.computes_curvature
         for stage in found:
             assert stage.method.floats and stage.method.tolerance == tolerance
             assert stage.space is noted.plan[-2].space
-    assert not Minimisation(RECIPES["openmm"], tolerance=0.1, curvature=True).examines
+    assert not Minimisation(RECIPES["openmm"], tolerance=0.1, curvature=True).computes_curvature
 
 
 @pytest.mark.parametrize("cut", [b"", pickle.dumps(("three", 3))[:-3], b"\x00"])

@@ -210,7 +210,8 @@ class Sentences:
                 return True
             if name in ("str", "join", "sorted", "list", "tuple"):
                 return any(self.said(each, known) for each in node.args)
-            return name in ("lower", "upper", "strip") and self.said(node.func.value, known)
+            text = getattr(node.func, "value", None)
+            return name in ("lower", "upper", "strip") and text is not None and self.said(text, known)
         if isinstance(node, ast.JoinedStr):
             return all(
                 self.said(each.value, known) for each in node.values if isinstance(each, ast.FormattedValue)

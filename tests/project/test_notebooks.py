@@ -39,8 +39,8 @@ where.loader.exec_module(remake)
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def test_all_nine_are_there():
-    assert [path.name[:3] for path in LONG] == [f"{k:02}-" for k in range(1, 10)]
+def test_all_ten_are_there():
+    assert [path.name[:3] for path in LONG] == [f"{k:02}-" for k in range(1, 11)]
 
 
 def test_every_scene_has_one():

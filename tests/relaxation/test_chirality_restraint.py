@@ -184,7 +184,7 @@ def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 500, note)
     relaxer._round(lost, np.ones(s.n_residues), [(400.0, 400.0)], 1, False)
     hands = relaxer.chirality
-    assert len(hands.inversions(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[True]))
+    assert len(hands.inversions(lost)) == 1 and len(began) == 2 and not len(hands.inversions(began[True]))
 
 
 def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():

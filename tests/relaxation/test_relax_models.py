@@ -103,7 +103,7 @@ def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monk
         raise InterruptedError
 
     monkeypatch.setattr(Relaxer, "_round", begins)
-    monkeypatch.setattr(ChiralityRestraint, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
+    monkeypatch.setattr(ChiralityRestraint, "inversions", lambda self, x: s.alpha_carbons[[4, 7]])
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
     with pytest.raises(InterruptedError):
         relaxer.rounds(s.positions, np.arange(s.n_residues) == 7, 1)

@@ -33,5 +33,5 @@ def test_bounces_are_ended_or_refused():
     table, end = bounces.bounce(bounces.ball(), ends=True)
     assert end > table["time"].iloc[-1] and table["speed"].iloc[-1] < bounces.SLOWEST
     assert not all(each.right for each in bounces.bounce_checks(table, end * (1.0 + 1e-10)))
-    with pytest.raises(MechanicsError, match="floor: after its jump"):
+    with pytest.raises(MechanicsError, match="floor: its value is not above zero after its jump"):
         bounces.bounce(bounces.ball(), ends=False)
