@@ -89,7 +89,7 @@ def about(
         bool, typer.Option("--version", help="Show the version and exit.", is_eager=True)
     ] = False,
 ) -> None:
-    """Minimise the energy of protein chains, and compare how."""
+    """Relax protein models, minimise their energy, and compare methods."""
     if version:
         print(f"protochain {metadata.version('protochain')}")
         raise typer.Exit

@@ -41,10 +41,10 @@ def energy(
     *,
     setup: Setup,
 ) -> None:
-    """Decompose the energy by term, by residue or by pair, in total or between two parts.
+    """Decompose the energy by term, residue or pair of residues.
 
-    Only missing atoms are added to structures. Minimise or relax them first.
-    For frames, write a CSV with the terms of each frame.
+    The energy is the total, or between two parts. Only missing atoms are added to structures. Minimise or
+    relax them first. For frames, write a CSV with the terms of each frame.
     """
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms

@@ -29,7 +29,7 @@ def info(
     *,
     setup: Setup,
 ) -> None:
-    """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
+    """Show the contents of a file, and repairs to its structure."""
     began = perf_counter()
     # Imported here, so that the other times do not include it.
     import_module("protochain.chains.articulate")

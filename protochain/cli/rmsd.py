@@ -37,7 +37,7 @@ def rmsd(
     resume: Resume = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure deviations of models from a reference: RMSD, TM-score and matched residues.
+    """Measure RMSD and TM-score of models to a reference.
 
     Files may have only C-alpha atoms. For frames of one file, write a CSV with a row for each frame.
     """

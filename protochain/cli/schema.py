@@ -19,7 +19,7 @@ def schema(
         str | None, typer.Argument(metavar="[COMMAND]", help="Command. Without one, list all.")
     ] = None,
 ) -> None:
-    """Show the JSON Schema of the --json output, the tables and the folder of a command.
+    """Show the JSON Schema of the output of a command.
 
     Each schema has a version, and changes only with it.
     """

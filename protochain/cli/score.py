@@ -68,10 +68,11 @@ def score(
     *,
     setup: Setup,
 ) -> None:
-    """Score the interfaces of complexes: energy, area, bonds, shape complementarity, clashes, confidence.
+    """Score the interfaces of complexes.
 
-    Only missing atoms are added to complexes. Relax them first, or with --relax. For frames of one complex,
-    write a CSV with a row for each frame.
+    Scores are energy, area, bonds, shape complementarity, clashes and confidence. Only missing atoms are
+    added to complexes. Relax them first, or with --relax. For frames of one complex, write a CSV with a row
+    for each frame.
     """
     from protochain.batches.cluster import Processes
     from protochain.chains.contacts import overlapping

@@ -37,7 +37,7 @@ def search(
     running: SearchRunSettings,
     setup: Setup,
 ) -> None:
-    """Search for low minima of one chain in torsions, or sample it at several temperatures."""
+    """Search for low minima of one chain, or sample its torsions."""
     from protochain.searching import search as run
     from protochain.searching.search_chain import check_folder
     from protochain.structure import from_sequence

@@ -60,10 +60,11 @@ def validate(
     *,
     setup: Setup,
 ) -> None:
-    """Report errors and outliers in structures: violations, clashes, cis and twisted peptide bonds.
+    """Report errors and outliers in structures.
 
-    Heavy atoms of the file are measured. Missing heavy atoms and hydrogens are added first.
-    For frames of one file, write a row for each frame to --csv.
+    These are violations, clashes, cis and twisted peptide bonds, and others. Heavy atoms of the file are
+    measured. Missing heavy atoms and hydrogens are added first. For frames of one file, write a row for each
+    frame to --csv.
     """
     from protochain.structure.matching import structure_to_measure
 
