@@ -70,7 +70,7 @@ def relax(
     relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
-    """Remove overlaps and broken bonds from models, but retain the fold.
+    """Remove overlaps and broken bonds from models within their fold.
 
     Several files, a folder, a pattern, a manifest, one file with several poses (--ligands POSES), or a run on
     a cluster write a folder with the table relaxed.csv. With --trajectory, or --frames of a file with models,

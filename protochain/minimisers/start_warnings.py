@@ -76,7 +76,7 @@ def describe_stray(structure: Structure, x: Floats) -> str:
 
 
 _FROM_OVERLAPS = "from a start whose atoms overlapped; relax preserves the fold"
-_HOLD = "max_rmsd (--max-rmsd) or restraints of positions"
+_HOLD = "a largest RMSD (max_rmsd) or restraints of positions"
 
 
 def describe_rmsd(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
