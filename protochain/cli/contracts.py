@@ -186,8 +186,8 @@ _CHANGED = {
 _BOND = _row("kind change first second")
 
 _SETTINGS = {
-    simulation.RECORD_NAMES.get(name, name): kind
-    for name, kind in get_type_hints(SimulationSettings).items() if name != "restraints"
+    {"restraints": "restraint", **simulation.RECORD_NAMES}.get(name, name): kind
+    for name, kind in get_type_hints(SimulationSettings).items()
 } | {"pull": str | None, "hinge_springs": list[str] | None, "restraint": list[str] | None}  # fmt: skip
 _SIMULATED = {
     **_row(simulation.RECORD), **_SETTINGS,

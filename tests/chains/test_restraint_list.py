@@ -213,7 +213,8 @@ def test_windows_give_the_free_energy_from_which_their_samples_are_drawn(edges, 
     whole = 6.0 * np.cos(np.deg2rad(2.0 * grid)) + 3.0 * np.sin(np.deg2rad(grid))
     asked = []
 
-    def drawn(chain, energy, q, temperature, *, restraint, watch, **options):
+    def drawn(chain, energy, q, temperature, *, restraints, watch, **options):
+        restraint = restraints
         asked.append((restraint.lower, restraint.upper, temperature, options, q))
         pull = np.array([Restraints.of(c.structure, restraint)(each)[0] for each in x])
         share = np.exp(-(whole + pull) / kt)

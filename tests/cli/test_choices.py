@@ -44,13 +44,15 @@ def test_a_chain_that_is_not_there_is_refused_with_those_that_are(protochain):
 
 def test_what_a_file_has_is_printed_as_the_record_has_it(protochain):
     facts = json.loads(protochain("info", STRUCTURES / "3i40.pdb", "--energy", "--json")[1])
-    lines = protochain("info", STRUCTURES / "3i40.pdb", "--energy")[1].splitlines()
+    lines = protochain("info", STRUCTURES / "3i40.pdb", "--energy", "--verbose")[1].splitlines()
+    names = {"loops": "ring closures", "hinges": "kinds of hinges"}
     assert len(facts["loops"]) == 3 and facts["overlaps"] == [] and facts["left_out"]["waters"] > 9
-    for key, value in facts.items():
+    for name, value in facts.items():
+        key = names.get(name, name.removeprefix("n_").replace("_", " "))
         if isinstance(value, list):
             at = lines.index(f"{key}: {len(value)}")
             printed = [line.removeprefix("  ") for line in lines[at + 1 : at + 1 + len(value)]]
-            assert printed == value or key == "repairs"  # These name Python's arguments in the record.
+            assert printed == value or name == "repairs"  # These name Python's arguments in the record.
         elif isinstance(value, dict):
             told = ", ".join(f"{count} {name}" for name, count in value.items())
             assert f"{key}: {told or 'nothing'}" in lines

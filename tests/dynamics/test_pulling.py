@@ -359,9 +359,9 @@ def test_numbers_that_make_no_sense_are_refused(given, word):
         ("A:1:N-A:2:XX", "A:2:XX: no atom XX in A:ALA2; its atoms are N H CA"),
         ("A:1:N-B:2:N", "there are no residues B:2; its chains are A"),
         ("A:1:N-A:11:N", "chain A has 1 to 10"),
-        ("A:1:N-A:1:CA", "no hinge acts on it"),
+        ("A:1:N-A:1:CA", "no hinge changes this distance"),
         # Both lie on the axis of a hinge between their bodies.
-        ("A:2:N-A:2:CA", "no hinge acts on it"),
+        ("A:2:N-A:2:CA", "no hinge changes this distance"),
         ("name N and resid 99 - resid 5", "selects no atom"),
         ("nonsense ( - resid 5", "cannot be read"),
         ("name CA - name CA", "both places coincide"),
@@ -382,7 +382,7 @@ def test_what_nothing_moves_cannot_be_pulled():
     names = [
         f"{s.residue_chain[r]}:{s.residue_number[r]}:CA" for r in s.atom_residue[fixed]
     ]  # fmt: skip
-    with pytest.raises(pc.ProtochainError, match="no hinge acts on it"):
+    with pytest.raises(pc.ProtochainError, match="no hinge changes this distance"):
         check_pull(pc.Pull(names), c)
     check_pull(pc.Pull(names), pc.build_chain(s, root="free"))
     check_pull(pc.Pull(("A:1:N", "B:1:N")), c)

@@ -325,7 +325,7 @@ def test_folders_are_neither_replaced_nor_continued_by_mistake(peptide, tmp_path
 
 def test_only_one_chain_by_itself_is_searched():
     two = pc.load("structures/3i40.pdb")
-    with pytest.raises(pc.ProtochainError, match=r"one chain.*chains=\"A\" and keep=\"none\""):
+    with pytest.raises(pc.ProtochainError, match=r"a single chain.*chains=\"A\" and keep=\"none\""):
         pc.search(two, evaluations=10)
 
 
