@@ -45,7 +45,7 @@ class Pull(Settings):
     between : pair of str, or str
         Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
         residue, ``A:20``, or a selection in MDAnalysis's language means its centre of mass. Two of these in
-        one text are separated by `` - ``.
+        one text are separated by a dash with blanks, ``" - "``.
     speed : float, nm/ps
         At which its rest length grows from the initial distance. Below 0 it shrinks, at most to 0.
 
