@@ -191,7 +191,7 @@ class Setup(Settings):
         super().__post_init__()
         if self.rigid_protein and self.move not in (defaults.MOVE, defaults.LIGAND):
             raise ProtochainError(
-                Argument("rigid_protein"), ": only ligands move; remove  ", Argument("move", self.move)
+                Argument("rigid_protein"), ": only ligands move; remove ", Argument("move", self.move)
             )
         if self.rigid_protein:
             object.__setattr__(self, "move", defaults.LIGAND)

@@ -17,8 +17,8 @@ from protochain.chains.chain import Chain, pose, pull_back
 from protochain.chains.contacts import alpha_contacts
 from protochain.comparison.hessian import torques_at
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import check_arguments, function, number
-from protochain.core.errors import ProtochainError, refusal
+from protochain.core.checks import at_least, check_arguments, function, in_range, number
+from protochain.core.errors import Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.mechanics import multibody
 from protochain.structure import Structure
@@ -118,7 +118,11 @@ class Unfolding(Value):
         return pd.DataFrame({"step": steps, "energy_kj_mol": self.energies, "contacts_share": self.shares})
 
 
-@check_arguments(watch=function("step", "share"))
+@check_arguments(
+    modes=at_least(1), max_steps=at_least(1), watch=function("step", "share"),
+    angle=in_range(number, lambda angle: 0.0 < angle <= 0.1, "give a number above 0, at most 0.1", "rad"),
+    until=in_range(number, lambda share: 0.0 <= share < 1.0, "give a share from 0 to below 1"),
+)  # fmt: skip
 def unfold(
     chain: Any, energy: Any = None, *, modes: int = 20, angle: float = 0.01, until: float = 0.2,
     max_steps: int = 4000, watch: Callable[[int, float], None] | None = None,
@@ -150,7 +154,7 @@ def unfold(
     Raises
     ------
     ProtochainError
-        If the input cannot be used, or has no native contacts.
+        If the input cannot be used, or has no native contacts, or if its energy is not finite at a step.
 
     Examples
     --------
@@ -159,13 +163,6 @@ def unfold(
     True
     """
     chain, energy = with_energy(chain, energy)
-    if not 0.0 < number(angle, "angle") <= 0.1:
-        raise refusal("angle", f"{angle:g}", "give a number above 0, at most 0.1, in rad")
-    if not 0.0 <= number(until, "until") < 1.0:
-        raise refusal("until", f"{until:g}", "give a share from 0 to below 1")
-    for name, value in (("modes", modes), ("max_steps", max_steps)):
-        if not isinstance(value, int | np.integer) or value < 1:
-            raise refusal(name, repr(value), "give a whole number of at least 1")
     contacts = NativeContacts.of_structure(chain.structure)
     torques = torques_at(chain, energy, None)
     # Roots stay in place: the motion of the whole changes no contact.
@@ -180,7 +177,9 @@ def unfold(
                 raise KeyboardInterrupt
             if len(rates) % REFRESH == 0:
                 last = min(modes, len(hinges)) - 1
-                soft = eigh(replace(torques, q=q).matrix(hinges), subset_by_index=(0, last))[1]
+                curvatures = replace(torques, q=q).matrix(hinges)
+                _require_finite(curvatures)
+                soft = eigh(curvatures, subset_by_index=(0, last))[1]
             climb, torque = (pull_back(chain, at, f)[hinges] for f in (contacts.gradient(at.x), forces))
             step = angle * control(soft, climb, torque)
             if not step.any():
@@ -190,6 +189,7 @@ def unfold(
             q = multibody.integrate(chain.tree, q, change)
             at = pose(chain, q)
             value, forces = energy(at.x)
+            _require_finite(value, forces)
             rates.append(float(climb @ step))
             energies.append(float(value))
             shares.append(contacts.share(at.x))
@@ -197,6 +197,12 @@ def unfold(
                 watch(len(rates), shares[-1])
     is_unfolded = shares[-1] <= until
     return Unfolding(chain, contacts, q, np.array(energies), np.array(shares), np.array(rates), is_unfolded)
+
+
+def _require_finite(*values: Any) -> None:
+    """Raise if an energy or its derivatives are not finite."""
+    if not all(np.isfinite(value).all() for value in values):
+        raise ProtochainError("the energy or its forces are not finite; reduce angle", fault=Fault.NOT_FINITE)
 
 
 def control(soft: Floats, climb: Floats, torque: Floats) -> Floats:

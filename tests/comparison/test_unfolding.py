@@ -1,5 +1,7 @@
 """Unfolding along soft modes: Chetaev's function rises at every step, contacts are lost, the way back."""
 
+import itertools
+
 import numpy as np
 import pytest
 from fixtures.samples import STRUCTURES
@@ -7,6 +9,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.chains.chain import pose, pull_back
 from protochain.comparison.unfolding import SCALE, NativeContacts, control
+from protochain.core.errors import Fault
 
 LOST = 0.2
 
@@ -81,6 +84,19 @@ def test_pairs_are_near_and_apart_in_the_sequence(folded):
     assert {tuple(sorted(pair)) for pair in contacts.atoms.tolist()} == expected
 
 
+def test_contacts_between_chains_count_at_every_separation():
+    insulin = pc.load(STRUCTURES / "3i40.pdb")
+    x, residue, chain = insulin.positions, insulin.atom_residue, insulin.residue_chain_index
+    expected = {
+        (a, b)
+        for a, b in itertools.combinations(insulin.alpha_carbons.tolist(), 2)
+        if np.linalg.norm(x[a] - x[b]) < 0.8
+        and (chain[residue[a]] != chain[residue[b]] or residue[b] - residue[a] >= 3)
+    }
+    assert {tuple(sorted(pair)) for pair in NativeContacts.of_structure(insulin).atoms.tolist()} == expected
+    assert any(chain[residue[a]] != chain[residue[b]] for a, b in expected)
+
+
 def test_control_against_dense_projections():
     draw = np.random.default_rng(3)
     soft = np.linalg.qr(draw.normal(size=(12, 4)))[0]
@@ -115,3 +131,16 @@ def test_bad_settings_are_refused(folded, settings, words):
 def test_a_chain_without_contacts_is_refused():
     with pytest.raises(pc.ProtochainError, match="no contacts"):
         pc.unfold(pc.from_sequence("AAAA"))
+
+
+@pytest.mark.parametrize("late", [50, 131])
+def test_a_step_with_infinite_forces_is_refused(folded, late):
+    """Within the second derivatives, and at a step."""
+    calls = iter(range(100_000))
+
+    def energy(x):
+        return 0.0, np.full_like(x, np.inf if next(calls) > late else 0.0)
+
+    with pytest.raises(pc.ProtochainError) as error:
+        pc.unfold(folded.chain, energy, max_steps=1500)
+    assert error.value.fault is Fault.NOT_FINITE

@@ -76,12 +76,12 @@ def searched(case: Case, seed: int, evaluations: int) -> dict[str, Any]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def stored(path: Path) -> pd.DataFrame:
-    """Rows of a table of searches; empty if there is no table."""
+def stored(path: Path, columns: Sequence[str] = COLUMNS) -> pd.DataFrame:
+    """Rows of a table of a study with these columns; empty if there is no table."""
     if not path.exists():
-        return pd.DataFrame(columns=list(COLUMNS))
+        return pd.DataFrame(columns=list(columns))
     rows = pd.read_csv(path, converters={"protein": str})
-    if list(rows.columns) != list(COLUMNS):
+    if list(rows.columns) != list(columns):
         raise ProtochainError(f"{path}: is not a table of this study; give another folder")
     return rows
 

@@ -18,7 +18,7 @@ import pandas as pd
 
 from bench.studies import kcm_cases
 from bench.studies.kcm_cases import LEFT, MODELS, MOST, TINY, Case
-from bench.studies.lowest import append, peptides
+from bench.studies.lowest import append, peptides, stored
 from protochain.chains.chain import Chain, pose
 from protochain.comparison.hessian import torques_at
 from protochain.comparison.unfolding import NativeContacts
@@ -60,7 +60,7 @@ def run(
 ) -> Iterator[pd.DataFrame]:
     """Add paths to ``paths.csv``, and write the points of one peptide's paths to ``path_points.csv``."""
     path = output / "paths.csv"
-    done = set(stored(path)[list(KEY)].itertuples(index=False, name=None))
+    done = set(stored(path, COLUMNS)[list(KEY)].itertuples(index=False, name=None))
     until = monotonic() + 60.0 * minutes
     cases = [case for case in peptides() if not quick or case.protein in QUICK]
     small = {case.protein for case in cases if kcm_cases.started(case).chain.structure.n_residues <= TINY}
@@ -82,16 +82,6 @@ def run(
             row = measured_path(case, method)
             append(path, row)
             yield pd.DataFrame([row])
-
-
-def stored(path: Path) -> pd.DataFrame:
-    """Rows of a table of paths; empty if there is no table."""
-    if not path.exists():
-        return pd.DataFrame(columns=list(COLUMNS))
-    rows = pd.read_csv(path, converters={"protein": str})
-    if list(rows.columns) != list(COLUMNS):
-        raise ProtochainError(f"{path}: is not a table of this study; give another folder")
-    return rows
 
 
 @dataclass

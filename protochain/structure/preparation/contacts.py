@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from protochain.core.arrays import Floats, sphere
 from protochain.structure.molecule.hydrogens import place_hydrogens
@@ -84,7 +85,7 @@ def score(ends: Spheres, stem: Floats, near: Spheres) -> float:
         dots = ends.x[k] + radius * _directions(radius)
         distance = np.linalg.norm(x - ends.x[k], axis=1)
         covers = (distance < _COVERED) & (np.arange(len(x)) != k)
-        dots = dots[(np.linalg.norm(dots[:, None] - x[covers], axis=2) > r[covers]).all(axis=1)]
+        dots = dots[(cdist(dots, x[covers]) > r[covers]).all(axis=1)]
         vector = ends.x[k] - near.x
         length = np.maximum(np.linalg.norm(vector, axis=1), 1e-9)
         turned = near.rotor & ends.acceptor[k]
@@ -92,7 +93,7 @@ def score(ends: Spheres, stem: Floats, near: Spheres) -> float:
         if not len(dots) or not reached.any():
             continue
         centre = (near.x + turned[:, None] * vector / length[:, None])[reached]
-        gaps = np.linalg.norm(dots[:, None] - centre, axis=2) - np.where(turned, POLAR, near.radius)[reached]
+        gaps = cdist(dots, centre) - np.where(turned, POLAR, near.radius)[reached]
         bonds = (ends.donor[k] & near.acceptor | ends.acceptor[k] & (near.donor | turned))[reached]
         gap, bond = gaps.min(axis=1), bonds[gaps.argmin(axis=1)]
         overlap = np.maximum(-gap, 0.0)
