@@ -74,7 +74,7 @@ def compare(
     typical = sum(typical_evaluations(method, limit) for method in chosen)
     foretell(source, chain, energy, typical, len(chosen) * limit)
     context.with_resource(held_interrupts())
-    with _one_bar_each(limit) as watch:
+    with _one_bar_each(limit, tolerance) as watch:
         comparison = run(
             chain, chosen, energy, tolerance, reference=reference_structure, repeats=repeats, watch=watch,
             **{name: value for name, value in vars(minimising).items() if name in SETTINGS},
@@ -112,12 +112,12 @@ def _check_methods(methods: str, tolerance: float, max_evaluations: int) -> tupl
 
 
 @contextmanager
-def _one_bar_each(max_evaluations: int) -> Iterator[Callable[[str], "Watcher"]]:
+def _one_bar_each(max_evaluations: int, tolerance: float) -> Iterator[Callable[[str], "Watcher"]]:
     """Show the bar of one method at a time, as a terminal draws only one."""
     with ExitStack() as shown:
 
         def watch(method: str) -> "Watcher":
             shown.close()
-            return shown.enter_context(run_progress(method, max_evaluations))
+            return shown.enter_context(run_progress(method, max_evaluations, tolerance))
 
         yield watch

@@ -30,7 +30,7 @@ def minimise_first(
     """Minimise to a largest torque (kJ/mol/rad), with restraints. Return also a line about the changes."""
     from protochain.minimisers import minimise
 
-    with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:
+    with run_progress(METHOD, defaults.MAX_EVALUATIONS, tolerance, writes=False) as watch:
         solution = minimise(chain, energy, METHOD, tolerance, seed=seed, restraints=restraints, watch=watch)
     if solution.status == "interrupted":
         raise KeyboardInterrupt

@@ -220,7 +220,10 @@ def _once(
     with (
         _Frames(trajectory, chain.structure, lost) as frames,
         terminal.run_progress(
-            settings["method"], settings["max_evaluations"], frames if trajectory else None
+            settings["method"],
+            settings["max_evaluations"],
+            settings["tolerance"],
+            frames if trajectory else None,
         ) as watch,
         _warnings(lost),
     ):
@@ -281,7 +284,9 @@ def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple[
     """Minimise from many starts. Return the best solution, and entries of its record about all starts."""
     from protochain.minimisers import explore
 
-    with terminal.run_progress(settings["method"], settings["max_evaluations"]) as watch:
+    with terminal.run_progress(
+        settings["method"], settings["max_evaluations"], settings["tolerance"]
+    ) as watch:
         search = explore(chain, energy, watch=watch, **settings)
     return search.best, search.overall()
 

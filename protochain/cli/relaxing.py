@@ -85,7 +85,7 @@ def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
         return nullcontext()
     from protochain.cli.terminal import evaluations_progress
 
-    return evaluations_progress("relax", _EVALUATIONS)
+    return evaluations_progress("relax")
 
 
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:

@@ -45,12 +45,12 @@ _LONG = 30.0
 
 
 class _Progress:
-    """Bar on a terminal, or a line a minute. Runs have ``typical`` steps, and at most ``longest``."""
+    """Bar on a terminal, or a line a minute. ``total`` is the number of steps, None if it is not known."""
 
-    def __init__(self, name: str, typical: int, longest: int) -> None:
+    def __init__(self, name: str, total: int | None) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self.name, self.typical, self.longest = printable(name), typical, longest
+        self.name, self.total = printable(name), total
         self.console = printer(stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(16), TextColumn("{task.fields[now]}"),
@@ -59,7 +59,7 @@ class _Progress:
         self.bar = Progress(
             *columns, console=self.console, disable=not (self.console.is_terminal and prints(Kind.PROGRESS))
         )
-        self.task = self.bar.add_task(self.name, total=typical, now="", left="")
+        self.task = self.bar.add_task(self.name, total=total, now="", left="")
         self.stage = self.now = ""
         self.n_done, self.first = 0.0, 0.0
         self.began = self.printed_at = monotonic()
@@ -72,8 +72,9 @@ class _Progress:
         self.n_done, self.now = n_done, self.now if now is None else now
         name = f"{self.name}: {self.stage}" if self.stage else self.name
         left = self._left()
-        total = self.typical if n_done < self.typical else self.longest
-        self.bar.update(self.task, description=name, total=total, completed=n_done, now=self.now, left=left)
+        self.bar.update(
+            self.task, description=name, total=self.total, completed=n_done, now=self.now, left=left
+        )
         if not self.console.is_terminal and monotonic() - self.printed_at >= _LINE_EVERY:
             self.printed_at = monotonic()
             self.say(", ".join(part for part in (f"{name}: {self.now}", left) if part))
@@ -84,16 +85,27 @@ class _Progress:
             self.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def _left(self) -> str:
+        """Text of the remaining time, empty if it cannot be estimated."""
         elapsed = monotonic() - self.began
-        if self.n_done <= self.first or not elapsed:
+        if self.total is None or self.n_done <= self.first or not elapsed:
             return ""
-        ends, word = (self.typical, "about") if self.n_done < self.typical else (self.longest, "at most")
-        seconds = elapsed / (self.n_done - self.first) * (ends - self.n_done)
-        return f"{word} {_clock(seconds)} left"
+        seconds = elapsed / (self.n_done - self.first) * (self.total - self.n_done)
+        return f"about {_clock(seconds)} left"
 
 
 class _RunProgress(_Progress):
-    """Watcher of a minimisation: its stage, energy, torque and evaluations."""
+    """Watcher of a minimisation: its stage, energy, torque, evaluations and their rate.
+
+    The remaining time follows from the decrease of the residual ``key`` of the rows to the tolerance.
+    """
+
+    key, tolerance, limit = "", 0.0, math.inf
+    shown_seconds = math.inf
+    text, estimated_at = "", -math.inf
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, None)
+        self.residuals: list[tuple[float, float]] = []
 
     use_positions: "Callable[[Any], None] | None" = None
     writes = True
@@ -111,7 +123,7 @@ class _RunProgress(_Progress):
         from protochain.minimisers.loop import Stop
 
         if name != self.stage:
-            self.stage, self.counts = name, True
+            self.stage, self.counts, self.residuals = name, True, []
             if name == Stop.INTERRUPTED.value:
                 self.say(
                     f"{self.name}: {name}" + ("; the best so far will be written" if self.writes else "")
@@ -127,30 +139,82 @@ class _RunProgress(_Progress):
         size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
         now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
         self.counts = False
+        if row["evaluations"] < self.n_done:
+            # A further start.
+            self.residuals, self.shown_seconds = [], math.inf
+        if (residual := row.get(self.key, math.nan)) > 0.0:
+            lowest = self.residuals[-1][1] if self.residuals else math.inf
+            self.residuals.append((row["evaluations"], min(residual, lowest)))
         self.show(row["evaluations"], now)
         if self.use_positions:
             self.use_positions(x)
+
+    def _left(self) -> str:
+        now = monotonic()
+        if self.n_done <= self.first or now <= self.began:
+            return ""
+        if now - self.estimated_at >= _ESTIMATE_EVERY:
+            self.estimated_at = now
+            rate = (self.n_done - self.first) / (now - self.began)
+            self.text = f"{_clock(now - self.began)}, {rate:.3g} evaluations/s"
+            remaining = remaining_evaluations(self.residuals, self.tolerance)
+            if remaining is not None:
+                # An estimate grows by steps.
+                most = min(self.limit - self.n_done, 2.0 * self.shown_seconds * rate)
+                self.shown_seconds = min(remaining, most) / rate
+                self.total = round(self.n_done + min(remaining, most))
+                self.text += f", about {_clock(self.shown_seconds)} left"
+        return self.text
+
+
+_ESTIMATE_EVERY = 0.5
+"""s between estimates."""
+_TREND, _CORRELATION = 8, -0.9
+"""Fewest points of a trend, and its correlation."""
+
+
+def remaining_evaluations(residuals: "Sequence[tuple[float, float]]", tolerance: float) -> float | None:
+    """Estimate the evaluations until a residual reaches a tolerance, None without a clear trend.
+
+    Residuals are pairs of evaluations and the lowest residual so far. A line through the later half of their
+    logarithms is extended.
+    """
+    import numpy as np
+
+    points = np.array(residuals[len(residuals) // 2 :])
+    if len(points) < _TREND or tolerance <= 0.0 or points[-1, 1] == points[0, 1]:
+        return None
+    n, logarithms = points[:, 0], np.log(points[:, 1])
+    if np.corrcoef(n, logarithms)[0, 1] > _CORRELATION:
+        return None
+    slope, intercept = np.polyfit(n, logarithms, 1)
+    return max(0.0, float((math.log(tolerance) - intercept) / slope - n[-1]))
 
 
 @contextmanager
 def run_progress(
     method: "str | Recipe",
     max_evaluations: int,
+    tolerance: float | None,
     use_positions: "Callable[[Any], None] | None" = None,
     writes: bool = True,
 ) -> Iterator["Watcher"]:
     """Show the progress of a run. ``use_positions`` receives all positions. ``writes`` affects messages."""
-    name = method if isinstance(method, str) else method.name
-    progress = _RunProgress(name, typical_evaluations(method, max_evaluations), max_evaluations)
+    from protochain.minimisers.recipes import recipe_of
+
+    recipe = recipe_of(method)
+    progress = _RunProgress(recipe.name)
+    progress.key = "max_torque_kj_mol_rad" if recipe.keeps_geometry else "rms_force_kj_mol_nm"
+    progress.tolerance, progress.limit = recipe.tolerance(tolerance), max_evaluations
     progress.use_positions, progress.writes = use_positions, writes
     with progress.bar:
         yield progress
 
 
 @contextmanager
-def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
-    """Show stage, energy and evaluations of a run of a typical length."""
-    progress = _RunProgress(name, typical, 3 * typical)
+def evaluations_progress(name: str) -> Iterator["Watcher"]:
+    """Show stage, energy, evaluations and their rate."""
+    progress = _RunProgress(name)
     with progress.bar:
         yield progress
 
@@ -158,7 +222,7 @@ def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
 @contextmanager
 def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["Watcher"]:
     """Show time, temperature, ns/day and remaining time of a simulation."""
-    progress = _Progress(name, n_steps, n_steps)
+    progress = _Progress(name, n_steps)
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
         elapsed = monotonic() - progress.began
@@ -223,7 +287,7 @@ def _clock(seconds: float) -> str:
 @contextmanager
 def frames_progress(name: str, total: int) -> Iterator["Watch"]:
     """Show the number of finished frames and the remaining time. List the first unusable frames."""
-    progress, lines = _Progress(name, total, total), list[str]()
+    progress, lines = _Progress(name, total), list[str]()
 
     def watch(n_done: int, failed: int, last: "FrameResult") -> None:
         if last.structure is None and len(lines) < _SHOWN_FAILURES:
@@ -238,7 +302,7 @@ def frames_progress(name: str, total: int) -> Iterator["Watch"]:
 @contextmanager
 def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
     """Show the number of finished jobs and the remaining time."""
-    progress = _Progress(name, 100, 100)
+    progress = _Progress(name, 100)
     with progress.bar:
         yield lambda n_done, total: progress.show(100.0 * n_done / total, f"{n_done} of {total}")
 
@@ -246,7 +310,7 @@ def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
 @contextmanager
 def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
     """Show lowest energy, acceptance, evaluations and remaining time of a search."""
-    progress = _Progress(name, 100, 100)
+    progress = _Progress(name, 100)
 
     def watch(so_far: "SearchProgress") -> None:
         now = (

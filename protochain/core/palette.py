@@ -44,12 +44,22 @@ _KNOWN = (
     "lbfgs", "kcm", "openmm", "hybrid", "cartesian", "openmm-md", "newton", "fire", "md", "kcm-adaptive",
     "kcm-metric", "anneal", "quench", "kcm-transient", "kcm-stiffness", "kcm-armijo",
 )  # fmt: skip
-"""Methods whose look is the same on every page, whatever else is there: the first of all looks, in order."""
+"""Known methods in order. Their number modulo that of the colours is the colour they prefer."""
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
-    """Look of each name: of a known method its own, of others those that are left, in order."""
-    names = tuple(names)
-    colours = {name: _ALL[_KNOWN.index(name)] for name in names if name in _KNOWN}
-    left = cycle([look for look in _ALL if look not in colours.values()])
-    return {name: colours[name] if name in colours else next(left) for name in names}
+    """Look of each name of a page or figure.
+
+    As many names as there are colours have different colours. A known method has its preferred colour, if
+    no known method before it has the same one.
+    """
+    names = tuple(dict.fromkeys(names))
+    free, looks_of = list(_ALL), dict[str, Look]()
+    known = [name for name in _KNOWN if name in names]
+    for name in known:
+        preferred = _ALL[_KNOWN.index(name) % len(COLOURS)]
+        if preferred in free:
+            free.remove(preferred)
+            looks_of[name] = preferred
+    remaining = cycle(free or _ALL)
+    return {name: looks_of[name] if name in looks_of else next(remaining) for name in names}

@@ -1,5 +1,6 @@
 """What a run says: before it begins, of its stage, and how long it will take; what bars show."""
 
+import itertools
 import re
 import shlex
 import subprocess
@@ -74,18 +75,16 @@ def row(evaluations, torque=3.0):
     return {"evaluations": evaluations, "energy_kj_mol": -1234.5, "max_torque_kj_mol_rad": torque}
 
 
-def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_time_left(bar, clock, monkeypatch):
-    seen, typical = [], 150
-    monkeypatch.setattr(terminal, "typical_evaluations", lambda method, most: min(typical, most))
-    with terminal.run_progress("lbfgs", 500, seen.append) as watch:
+def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_rate(bar, clock):
+    seen = []
+    with terminal.run_progress("lbfgs", 500, None, seen.append) as watch:
         made = bar()
         assert made.disable and made.console.stderr
 
-        def shown(seconds, told, *given):
+        def shown(seconds, report, *arguments):
             clock.now = seconds
-            told(*given)
+            report(*arguments)
             *_, last = made.updates
-            assert last["total"] == (500 if last["completed"] >= typical else typical)
             assert last["description"].startswith("lbfgs")
             return last
 
@@ -95,22 +94,52 @@ def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_time_left(ba
         first = shown(0.0, evaluated, 20.0)
         assert first["completed"] == 20 and numbers(first["now"])[:2] == [20.0, -1234.5]
         assert numbers(first["now"])[2] == pytest.approx(1234.5, rel=0.01) and first["left"] == ""
-        # One a second: of 150, 126 are left.
+        # One a second, and no trend of the torque.
         staged = shown(4.0, watch.at_stage, "parting", 24)
         assert "parting" in staged["description"] and numbers(staged["now"]) == [24.0]
-        assert seconds_of(staged["left"]) == 126
+        assert numbers(staged["left"]) == [4.0, 1.0] and staged["total"] is None
         without = shown(40.0, evaluated, 60.0, float("nan"))
-        assert numbers(without["now"]) == [60.0, -1234.5] and seconds_of(without["left"]) == 90
+        assert numbers(without["now"]) == [60.0, -1234.5] and numbers(without["left"]) == [40.0, 1.0]
         # The energy stays until the next stage begins.
         assert shown(50.0, watch.at_stage, "parting", 70)["now"] == without["now"]
         following = shown(60.0, watch.at_stage, "next", 80)
         assert "next" in following["description"] and numbers(following["now"]) == [80.0]
-        # Two seconds each from the first on, and none is typical any more.
-        assert seconds_of(shown(260.0, evaluated, 150.0)["left"]) == 2 * 350
         # The next of many starts is timed by itself.
         assert shown(300.0, evaluated, 10.0)["left"] == ""
-        assert seconds_of(shown(301.0, evaluated, 60.0)["left"]) == 90 / 50
-    assert made.added[-1] == "closed" and seen == [20.0, 60.0, 150.0, 10.0, 60.0]
+        assert numbers(shown(301.0, evaluated, 60.0)["left"]) == [1.0, 50.0]
+    assert made.added[-1] == "closed" and seen == [20.0, 60.0, 10.0, 60.0]
+
+
+def test_remaining_time_follows_from_the_decrease_of_the_torque(bar, clock):
+    """Torques halve every 10 evaluations, of which two are done in a second."""
+    with terminal.run_progress("lbfgs", 500, 1.0) as watch:
+        made = bar()
+        for n in range(0, 101, 2):
+            clock.now = 0.5 * n + 1.0
+            watch(row(n, 2.0 ** (12 - n / 10)), None)
+        # 2^12 falls to 1 in 120 evaluations, of which 20 remain.
+        assert seconds_of(made.updates[-1]["left"].split("about")[1]) == 10.0
+        assert made.updates[-1]["total"] == 120
+        # The decrease becomes 20 times slower. An estimate is at most twice the one before.
+        for n in range(102, 400, 2):
+            clock.now = 0.5 * n + 1.0
+            watch(row(n, 2.0 ** (2 - (n - 100) / 200)), None)
+        shown = [
+            seconds_of(update["left"].split("about")[1]).expected
+            for update in made.updates
+            if "about" in update["left"]
+        ]
+        assert max(shown) > 100.0
+        assert all(later <= 2.0 * earlier + 1.5 for earlier, later in itertools.pairwise(shown))
+
+
+@pytest.mark.parametrize(
+    "residuals",
+    [[], [(k, 5.0) for k in range(30)], [(k, 100.0 - k) for k in range(9)]],
+    ids=("none", "constant", "few"),
+)
+def test_without_a_trend_no_time_is_estimated(residuals):
+    assert terminal.remaining_evaluations(residuals, 1.0) is None
 
 
 def test_the_bar_of_a_simulation_shows_time_temperature_speed_and_time_left(bar, clock):
@@ -148,9 +177,8 @@ def test_times_are_in_seconds_minutes_or_hours(seconds):
     assert seconds == seconds_of(terminal._clock(seconds)) and len(terminal._clock(seconds)) <= 7
 
 
-def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch):
-    monkeypatch.setattr(terminal, "typical_evaluations", lambda method, most: 500)
-    with terminal.run_progress("hybrid", 5000) as watch:
+def test_without_a_terminal_a_line_comes_every_minute(clock, capsys):
+    with terminal.run_progress("hybrid", 5000, None) as watch:
         for k in range(1, 200):
             clock.now = 2.0 * k
             watch.at_stage("torsions" if k < 100 else "all atoms", k)
@@ -159,15 +187,14 @@ def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch
     assert len(lines) == 6
     evaluations, energy, torque, *_ = numbers(lines[0])
     assert "torsions" in lines[0] and (evaluations in (29, 30), energy, torque) == (True, -1234.5, 3.0)
-    # 470 evaluations of the 500 that such runs take are left, at two seconds each.
-    assert 2 * (500 - evaluations) == seconds_of(lines[0])
+    assert lines[0].endswith("0.5 evaluations/s")
     assert "all atoms" in lines[-1] and numbers(lines[-1])[0] in (179, 180) and "torque" not in lines[-1]
 
 
 def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, capsys):
     said = []
     for writes in (True, False):
-        with terminal.run_progress("lbfgs", 1000, writes=writes) as watch:
+        with terminal.run_progress("lbfgs", 1000, None, writes=writes) as watch:
             watch.at_stage("torsions", 3)
             watch.at_stage("interrupted", 4)
             (line,) = capsys.readouterr().err.splitlines()

@@ -5,7 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from protochain.core import defaults
 from protochain.core.palette import COLOURS, looks
+from protochain.minimisers.recipes import RECIPES
 
 SEEN = {
     "by all": np.eye(3),
@@ -51,5 +53,21 @@ def test_a_method_looks_the_same_whatever_is_beside_it():
     together = looks(["mine", *reversed(alone), "yours"])
     assert {name: together[name] for name in alone} == alone
     assert len({look.colour for look in together.values()}) == len(together)
+
+
+@pytest.mark.parametrize(
+    "methods",
+    [defaults.COMPARED, ("kcm-stiffness", "lbfgs"), *itertools.combinations(RECIPES, 2), tuple(RECIPES)[-7:]],
+    ids="-".join,
+)
+def test_methods_of_a_page_have_different_colours(methods):
+    assert len({look.colour for look in looks(methods).values()}) == len(methods)
+
+
+def test_the_order_of_methods_does_not_change_their_colours():
+    assert looks(reversed(defaults.COMPARED)) == looks(defaults.COMPARED)
+
+
+def test_many_names_differ_in_colour_or_dashes():
     many = looks(map(str, range(25)))
     assert len({(look.colour, str(look.dash)) for look in many.values()}) == 25
