@@ -19,6 +19,7 @@ from protochain.core import defaults
 from protochain.core.checks import check_arguments, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.settings import document_fields
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -34,44 +35,24 @@ _RECOUNT = 5.0
 """s between counts of the workers, as a cluster may grow."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch, counted in structures.
+    """Progress of a batch, counted in structures."""
 
-    Parameters
-    ----------
-    total, done, failed, skipped : int
-        All structures, structures minimised in this call, failures among these, and structures finished by
-        an earlier call.
-    seconds : float
-        Time since the first structure was submitted.
-    dashboard : str
-        Address of Dask's dashboard, if there is one.
-    line : str
-        Result of the latest structure, as text.
-    """
-
-    total: int
-    done: int
-    failed: int
-    skipped: int
-    seconds: float
-    dashboard: str
-    line: str = ""
+    total: int  # All structures.
+    done: int  # Structures minimised in this call.
+    failed: int  # Failures among these.
+    skipped: int  # Structures finished by an earlier call.
+    seconds: float  # Time since the first structure was submitted.
+    dashboard: str  # Address of Dask's dashboard, if there is one.
+    line: str = ""  # Result of the latest structure, as text.
 
 
+@document_fields
 @dataclass(frozen=True)
 class Batch:
     """Results of a batch, read from its folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the batch.
-    interrupted : bool
-        Whether it was stopped before all structures were done.
-    name : str
-        Stem of the table's name: ``relaxed`` of :func:`relax_files`.
 
     Examples
     --------
@@ -79,9 +60,9 @@ class Batch:
     ['converged']
     """
 
-    folder: Path
-    interrupted: bool = False
-    name: str = SUMMARY
+    folder: Path  # Folder of the batch.
+    interrupted: bool = False  # Whether it was stopped before all structures were done.
+    name: str = SUMMARY  # Stem of the table's name: ``relaxed`` of :func:`relax_files`.
 
     @cached_property
     def table(self) -> "pd.DataFrame":

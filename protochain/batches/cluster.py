@@ -18,6 +18,7 @@ from protochain.core.checks import at_least, check_fields, in_range, number, opt
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.optional_libraries import library
 from protochain.core.processors import processors
+from protochain.core.settings import document_fields
 from protochain.core.storage import temporary_stem, writing
 
 if TYPE_CHECKING:
@@ -28,21 +29,10 @@ _PATIENCE = 10.0
 """s. Time for the scheduler to answer, and for the first worker before a warning."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Processes:
     """Processes that minimise the structures of a batch, and their resources.
-
-    Parameters
-    ----------
-    workers : int, optional
-        Processes on this machine. By default, as many as its cores allow.
-    scheduler : str, optional
-        Address of a Dask cluster to use instead. Its workers must see the same files under the same paths.
-        For ``tls://`` the certificates are read from Dask's settings (``distributed.comm.tls``).
-    threads : int
-        Threads for each structure. One is best, as many structures use the cores better than many threads.
-    time_limit : float, s
-        Time for each structure. After it, the structure is stopped and reported.
 
     Raises
     ------
@@ -50,9 +40,13 @@ class Processes:
         If a number is not above 0.
     """
 
-    workers: int | None = None
+    workers: int | None = None  # Processes on this machine. By default, as many as its cores allow.
+    # Address of a Dask cluster to use instead. Its workers must see the same files under the same paths. For
+    # ``tls://`` the certificates are read from Dask's settings (``distributed.comm.tls``).
     scheduler: str | None = None
+    # Threads for each structure. One is best, as many structures use the cores better than many threads.
     threads: int = defaults.BATCH_THREADS
+    # s: Time for each structure. After it, the structure is stopped and reported.
     time_limit: float = defaults.TIME_LIMIT
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from protochain.chains.setup import Setup
 from protochain.core.arrays import Floats, Integers, Value, dihedral, read_only
 from protochain.core.checks import check_arguments, in_range, number, one_of, optional, selection
 from protochain.core.errors import ProtochainError
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers.solution import alpha_residues
 from protochain.structure import Structure
@@ -31,20 +32,10 @@ _ROUNDS = 3
 """Superpositions on the mean, which then moves by less than a thousandth of an angstrom."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Clusters(Value):
     """Clusters of the frames of an ensemble.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        A row for each frame: ``frame``, ``cluster`` (from 1, the largest first), ``medoid`` (true for the
-        medoid of a cluster) and ``distance_to_medoid``, angstrom or degrees.
-    medoids : tuple of Structure
-        The medoid of each cluster.
-    fluctuations : pandas.DataFrame
-        A row for each residue: ``chain``, ``residue``, ``name`` and ``ca_fluctuation_angstrom``. This is the
-        root-mean-square deviation of its C-alpha from the mean of all frames, which are superposed on it.
 
     Examples
     --------
@@ -53,8 +44,12 @@ class Clusters(Value):
     10
     """
 
+    # A row for each frame: ``frame``, ``cluster`` (from 1, the largest first), ``medoid`` (true for the
+    # medoid of a cluster) and ``distance_to_medoid``, angstrom or degrees.
     table: "pd.DataFrame"
-    medoids: tuple[Structure, ...]
+    medoids: tuple[Structure, ...]  # The medoid of each cluster.
+    # A row for each residue: ``chain``, ``residue``, ``name`` and ``ca_fluctuation_angstrom``. This is the
+    # root-mean-square deviation of its C-alpha from the mean of all frames, which are superposed on it.
     fluctuations: "pd.DataFrame"
 
     def __repr__(self) -> str:

@@ -11,6 +11,7 @@ from protochain.batches.frame_tasks import EnergyFrames, FrameJob, FrameRow, Rel
 from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, check_arguments, optional, text
+from protochain.core.settings import document_fields
 from protochain.energies import Energy, as_energy
 from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
@@ -27,20 +28,10 @@ _AHEAD = 3
 """Submitted jobs for each worker, so that no worker waits."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class FrameResult(Value):
     """Result of a frame.
-
-    Parameters
-    ----------
-    frame : int
-        Index in the source, from 0.
-    record : mapping
-        Row of the frame: ``frame``, ``time_ps``, ``status``, ``message`` and the columns of the task.
-    structure : Structure, optional
-        Relaxed or measured structure. None if the frame cannot be used.
-    task : Task
-        Task of the run.
 
     Examples
     --------
@@ -49,10 +40,11 @@ class FrameResult(Value):
     'converged'
     """
 
-    frame: int
+    frame: int  # Index in the source, from 0.
+    # Row of the frame: ``frame``, ``time_ps``, ``status``, ``message`` and the columns of the task.
     record: Mapping[str, Any]
-    structure: Structure | None
-    task: Task
+    structure: Structure | None  # Relaxed or measured structure. None if the frame cannot be used.
+    task: Task  # Task of the run.
 
     @property
     def energy_function(self) -> Energy | None:

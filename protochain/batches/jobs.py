@@ -26,7 +26,7 @@ from protochain.core.checks import (
     several,
 )
 from protochain.core.errors import Argument, ProtochainError, refusal
-from protochain.core.settings import Setting, document_settings, setting, settings_of
+from protochain.core.settings import Setting, document_fields, document_settings, setting, settings_of
 from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
@@ -213,26 +213,16 @@ _OF_OPTION = {c: n for n, option in _SETTINGS.items() for c in option.columns(n)
 _COLUMNS = tuple(option.columns(name)[0] for name, option in _SETTINGS.items())
 
 
+@document_fields
 @dataclass(frozen=True)
 class Job:
-    """Structure to minimise, with its settings.
+    """Structure to minimise, with its settings."""
 
-    Parameters
-    ----------
-    name : str
-        Unique name in the batch, and stem of its files.
-    path : Path
-        Absolute path.
-    settings : BatchSettings
-        Settings of the job. The setup's model is a number, or None for the first model.
-    key : str
-        SHA-256 of the file's content, the settings, and the version of protochain.
-    """
-
-    name: str
-    path: Path
+    name: str  # Unique name in the batch, and stem of its files.
+    path: Path  # Absolute path.
+    # Settings of the job. The setup's model is a number, or None for the first model.
     settings: BatchSettings
-    key: str
+    key: str  # SHA-256 of the file's content, the settings, and the version of protochain.
 
     @property
     def identity(self) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import instance, number, text
 from protochain.core.errors import ChainError, refusal
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree, algebra
 from protochain.mechanics.multibody.algebra import add, cross, kernel, subtract
@@ -24,34 +25,10 @@ _WAYS = 1 << 20
 """Pairs of an atom and a hinge in one batch, which bounds the memory."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Chain(Value):
     """A protein as a tree of rigid bodies.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the chain, whose positions are ``pose(chain, chain.q0).x``.
-    tree : Tree
-        Bodies, hinges and inertia.
-    atom_body : (na,) int
-        Body of each atom.
-    atom_local : (na, 3) float, nm
-        Position of each atom in its body's frame.
-    hinges : tuple of Hinge
-        ``hinges[i]`` is the i-th revolute hinge in body order.
-    hinge_body : (n_hinges,) int
-        Body beyond each hinge, whose coordinate is ``q[tree.q_start[hinge_body[i]]]``.
-    loops : (n_loops, 2) int
-        Bonds at which loops were cut (disulfides and other cross-links). The force field still has them.
-    q0 : (n_q,) float
-        Coordinates of the input pose. Hinges have measured dihedrals.
-    opened, root, move : str
-        Arguments ``hinges``, ``root`` and ``move`` of :func:`build_chain`.
-    moving : (na,) bool
-        Selected atoms, which methods that move single atoms may move.
-    hydrogen_mass : float or None, amu
-        Mass of hydrogens after repartitioning.
 
     Examples
     --------
@@ -60,19 +37,22 @@ class Chain(Value):
     (5, 'phi')
     """
 
-    structure: Structure
-    tree: Tree
-    atom_body: Integers
-    atom_local: Floats
-    hinges: tuple[Hinge, ...]
+    structure: Structure  # Structure of the chain, whose positions are ``pose(chain, chain.q0).x``.
+    tree: Tree  # Bodies, hinges and inertia.
+    atom_body: Integers  # (na,) int: Body of each atom.
+    atom_local: Floats  # (na, 3) float, nm: Position of each atom in its body's frame.
+    hinges: tuple[Hinge, ...]  # ``hinges[i]`` is the i-th revolute hinge in body order.
+    # (n_hinges,) int: Body beyond each hinge, whose coordinate is ``q[tree.q_start[hinge_body[i]]]``.
     hinge_body: Integers
+    # (n_loops, 2) int: Bonds at which loops were cut (disulfides and other cross-links). The force field
+    # still has them.
     loops: Integers
-    q0: Floats
-    opened: str
-    root: str
-    move: str
-    moving: NDArray[np.bool_]
-    hydrogen_mass: float | None = None
+    q0: Floats  # (n_q,) float: Coordinates of the input pose. Hinges have measured dihedrals.
+    opened: str  # Argument ``hinges`` of :func:`build_chain`.
+    root: str  # Argument of :func:`build_chain`.
+    move: str  # Argument of :func:`build_chain`.
+    moving: NDArray[np.bool_]  # (na,) bool: Selected atoms, which methods that move single atoms may move.
+    hydrogen_mass: float | None = None  # amu: Mass of hydrogens after repartitioning.
 
     @property
     def n_atoms(self) -> int:

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from protochain.core.checks import at_least, check_fields, integer, number, one_of, words
 from protochain.core.errors import ProtochainError, refusal
+from protochain.core.settings import document_fields
 
 STIFFNESS = 1000.0
 """kJ/mol/nm^2, or of dihedrals kJ/mol/rad^2."""
@@ -22,30 +23,10 @@ Sides = float | tuple[float, float]
 """One number for both sides, or the numbers below the lower and above the upper bound."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Restraint:
     """A coordinate between two bounds: E = k/2 e^n, with e the distance outside the bounds.
-
-    Parameters
-    ----------
-    kind : str
-        ``distance``, ``mean-distance``, ``centroid-distance``, ``dihedral`` or ``position`` (distance of
-        each atom from its initial position).
-    places : tuple of str
-        Two places of a distance, as ``A:3:CA``, a residue, or a selection. Between several atoms a
-        ``distance`` is (sum r^-6)^(-1/6), as of NOEs. Further pairs of places add to this sum. A
-        ``mean-distance`` is (mean r^-6)^(-1/6). A ``centroid-distance`` is the distance of the centres of
-        mass. A dihedral has four atoms, or its name, ``phi A:3``. A position has one place.
-    lower, upper : float, angstrom or degrees
-        Bounds.
-    stiffness : float, or two below and above the bounds, kJ/mol/nm^2 or kJ/mol/rad^2
-        Constant k.
-    linear : float, or two below and above the bounds, angstrom or degrees
-        Length l from which the energy continues as a power of e, with the same slope. 0 means never.
-    exponent : int
-        Exponent n of the energy. The unit of k is kJ/mol/nm^n or kJ/mol/rad^n.
-    tail : int
-        Power p of the energy beyond l, E(l) + l E'(l) ((e/l)^p - 1)/p: 1 is linear, -1 levels off.
 
     Raises
     ------
@@ -62,13 +43,23 @@ class Restraint:
     'distance A:3:CA A:9:CA 0 6 1000'
     """
 
+    # ``distance``, ``mean-distance``, ``centroid-distance``, ``dihedral`` or ``position`` (distance of each
+    # atom from its initial position).
     kind: str
+    # Two places of a distance, as ``A:3:CA``, a residue, or a selection. Between several atoms a ``distance``
+    # is (sum r^-6)^(-1/6), as of NOEs. Further pairs of places add to this sum. A ``mean-distance`` is (mean
+    # r^-6)^(-1/6). A ``centroid-distance`` is the distance of the centres of mass. A dihedral has four atoms,
+    # or its name, ``phi A:3``. A position has one place.
     places: tuple[str, ...]
-    lower: float
-    upper: float
+    lower: float  # angstrom or degrees: Lower bound.
+    upper: float  # angstrom or degrees: Upper bound.
+    # kJ/mol/nm^2 or kJ/mol/rad^2: Constant k, or two below and above the bounds.
     stiffness: Sides = STIFFNESS
+    # angstrom or degrees: Length l, or two, from which the energy continues as a power of e, with the same
+    # slope. 0 means never.
     linear: Sides = 0.0
-    exponent: int = 2
+    exponent: int = 2  # Exponent n of the energy. The unit of k is kJ/mol/nm^n or kJ/mol/rad^n.
+    # Power p of the energy beyond l, E(l) + l E'(l) ((e/l)^p - 1)/p: 1 is linear, -1 levels off.
     tail: int = 1
 
     def __post_init__(self) -> None:

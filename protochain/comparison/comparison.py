@@ -21,6 +21,7 @@ from protochain.comparison.quality import quality
 from protochain.comparison.spread import spreads
 from protochain.comparison.work import at_equal_cost, work_to_reach
 from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.settings import document_fields
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.minimisers import Solution
 from protochain.minimisers.record import short_columns
@@ -43,22 +44,10 @@ _LEAST_OF_TM = 30
 """Fewest residues for a TM-score, whose scale is meant for longer chains."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Minimisations of one structure by several methods.
-
-    Parameters
-    ----------
-    structure : Structure
-        The common start.
-    solutions : tuple of Solution
-        One per method, all with the same energy function, for tables, plots and files.
-    origin : mapping
-        Facts about the input (path, seconds of preparation), added to every record.
-    reference : Structure, optional
-        Structure to measure the ends against, for example an experimental one. Its sequence may differ.
-    repeats : tuple of Solution
-        Further runs of the methods that do not repeat exactly.
 
     Raises
     ------
@@ -71,11 +60,14 @@ class Comparison:
     ['lbfgs', 'md']
     """
 
-    structure: Structure
+    structure: Structure  # The common start.
+    # One per method, all with the same energy function, for tables, plots and files.
     solutions: tuple[Solution, ...]
+    # Facts about the input (path, seconds of preparation), added to every record.
     origin: Mapping[str, Any] = field(default_factory=dict)
+    # Structure to measure the ends against, for example an experimental one. Its sequence may differ.
     reference: Structure | None = None
-    repeats: tuple[Solution, ...] = ()
+    repeats: tuple[Solution, ...] = ()  # Further runs of the methods that do not repeat exactly.
 
     def __post_init__(self) -> None:
         runs = self.solutions + self.repeats

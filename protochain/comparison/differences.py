@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.comparison.domains import rigid_domains
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.columns import heading
 from protochain.structure import as_structure
@@ -33,27 +34,10 @@ _CONTACT, _APART = 4.5, 4
 _RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Differences(Value):
     """Changes from one structure to another.
-
-    Parameters
-    ----------
-    residues : pandas.DataFrame
-        A row for each matched residue: ``chain``, ``residue``, ``name`` (of the first structure),
-        ``secondary_structure``, ``domain`` (from 1, the largest, or 0 for none), changes of ``phi`` ...
-        ``chi4`` in degrees from -180 to 180,
-        ``torsions_degrees`` (root mean square over these), ``rotamer_before``, ``rotamer_after``,
-        ``ca_moved_angstrom`` after superposition of all C-alphas.
-    bonds : pandas.DataFrame
-        Hydrogen bonds and salt bridges of only one structure: ``kind``, ``change`` (gained or lost),
-        ``first`` and ``second``: atoms of donor and acceptor, or residues of cation and anion.
-    totals : mapping of str to int or float
-        ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same for
-        ``salt_bridges``, ``contacts_kept`` (Q: share of the first structure's contacts in the second), and
-        ``ca_rmsd_angstrom``. Chains, helices, strands, loops and rigid domains are superposed separately for
-        ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on. ``rigid_domains`` is their number.
-        ``turn_degrees_domain_2`` and so on are the angles of their motions relative to the first domain.
 
     Examples
     --------
@@ -61,8 +45,19 @@ class Differences(Value):
     0
     """
 
+    # A row for each matched residue: ``chain``, ``residue``, ``name`` (of the first structure),
+    # ``secondary_structure``, ``domain`` (from 1, the largest, or 0 for none), changes of ``phi`` ...
+    # ``chi4`` in degrees from -180 to 180, ``torsions_degrees`` (root mean square over these),
+    # ``rotamer_before``, ``rotamer_after``, ``ca_moved_angstrom`` after superposition of all C-alphas.
     residues: pd.DataFrame
+    # Hydrogen bonds and salt bridges of only one structure: ``kind``, ``change`` (gained or lost), ``first``
+    # and ``second``: atoms of donor and acceptor, or residues of cation and anion.
     bonds: pd.DataFrame
+    # ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same for ``salt_bridges``,
+    # ``contacts_kept`` (Q: share of the first structure's contacts in the second), and ``ca_rmsd_angstrom``.
+    # Chains, helices, strands, loops and rigid domains are superposed separately for ``ca_rmsd_angstrom_A``,
+    # ``_helix``, ``_domain_1`` and so on. ``rigid_domains`` is their number. ``turn_degrees_domain_2`` and so
+    # on are the angles of their motions relative to the first domain.
     totals: Mapping[str, Any]
 
     def __repr__(self) -> str:

@@ -12,6 +12,7 @@ from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Value, means_by
 from protochain.core.checks import quantity
 from protochain.core.errors import Argument, ProtochainError, refusal
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
 from protochain.energies import Energy
 from protochain.mechanics import multibody
@@ -39,42 +40,10 @@ _B = 8.0 * np.pi**2 / 3.0
 """B factor for a mean square displacement of 1."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class NormalModes(Value):
     """Small motions of a chain about a point, each with one frequency.
-
-    Parameters
-    ----------
-    chain : Chain
-        The chain, with free roots unless obstacles, the energy or ``fixed`` hold them.
-    energy_function : Energy
-        Energy of all terms.
-    q : (n_q,) float
-        Coordinates of the point.
-    eigenvalues : (k,) float, 1/ps^2
-        Squares of the angular frequencies, the lowest first. Negative if the energy falls along the mode.
-    modes : (n_v, k) float
-        Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum in free chains.
-    residuals : (k,) float
-        ``|K a - w^2 M a|``, relative to ``|K| |a|``.
-    errors : (k,) float, 1/ps^2
-        Upper limits of the errors of eigenvalues by differences of torques, which are 1e-8 of K.
-    largest_eigenvalue : float, 1/ps^2
-        Largest eigenvalue of all modes, NaN if it was not found.
-    spectrum : (n,) float or None, 1/ps^2
-        All eigenvalues, if the whole Hessian was computed, of up to 2000 freedoms.
-    log_det_mass : float
-        Logarithm of det M of the counted freedoms.
-    log_det_hessian : float or None
-        Logarithm of det K of these, if the whole was computed and no mode is negative.
-    max_torque : float, kJ/mol/rad
-        Largest torque at the point.
-    held_by : str
-        Reason for the fixed position of the whole. Empty if its six zero modes were removed.
-    n_products : int
-        Products with the Hessian, each two evaluations, 0 if it was computed as a whole.
-    seconds : float
-        Run time.
 
     Examples
     --------
@@ -83,21 +52,29 @@ class NormalModes(Value):
     True
     """
 
-    chain: Chain
-    energy_function: Energy
-    q: Floats
+    chain: Chain  # The chain, with free roots unless obstacles, the energy or ``fixed`` hold them.
+    energy_function: Energy  # Energy of all terms.
+    q: Floats  # (n_q,) float: Coordinates of the point.
+    # (k,) float, 1/ps^2: Squares of the angular frequencies, the lowest first. Negative if the energy falls
+    # along the mode.
     eigenvalues: Floats
+    # (n_v, k) float: Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum in free
+    # chains.
     modes: Floats
-    residuals: Floats
+    residuals: Floats  # (k,) float: ``|K a - w^2 M a|``, relative to ``|K| |a|``.
+    # (k,) float, 1/ps^2: Upper limits of the errors of eigenvalues by differences of torques, which are 1e-8
+    # of K.
     errors: Floats
-    largest_eigenvalue: float
+    largest_eigenvalue: float  # 1/ps^2: Largest eigenvalue of all modes, NaN if it was not found.
+    # (n,) float or None, 1/ps^2: All eigenvalues, if the whole Hessian was computed, of up to 2000 freedoms.
     spectrum: Floats | None
-    log_det_mass: float
+    log_det_mass: float  # Logarithm of det M of the counted freedoms.
+    # Logarithm of det K of these, if the whole was computed and no mode is negative.
     log_det_hessian: float | None
-    max_torque: float
-    held_by: str
-    n_products: int
-    seconds: float
+    max_torque: float  # kJ/mol/rad: Largest torque at the point.
+    held_by: str  # Reason for the fixed position of the whole. Empty if its six zero modes were removed.
+    n_products: int  # Products with the Hessian, each two evaluations, 0 if it was computed as a whole.
+    seconds: float  # Run time.
 
     @property
     def is_free(self) -> bool:

@@ -20,6 +20,7 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import at_least, check_arguments, function, in_range, number
 from protochain.core.errors import Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.structure import Structure
 
@@ -36,18 +37,10 @@ SCALE = 50.0
 
 @dataclass(frozen=True)
 class NativeContacts:
-    """Pairs of C-alphas in contact in a reference structure.
+    """Pairs of C-alphas in contact in a reference structure."""
 
-    Parameters
-    ----------
-    atoms : (n, 2) int
-        Indices of the C-alphas.
-    lengths : (n,) float, nm
-        Their distances in the reference.
-    """
-
-    atoms: Integers
-    lengths: Floats
+    atoms: Integers  # (n, 2) int: Indices of the C-alphas.
+    lengths: Floats  # (n,) float, nm: Their distances in the reference.
 
     @classmethod
     def of_structure(cls, structure: Structure) -> "NativeContacts":
@@ -75,35 +68,18 @@ class NativeContacts:
         return gradient
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Unfolding(Value):
-    """A path from a folded structure to one that has lost its native contacts.
+    """A path from a folded structure to one that has lost its native contacts."""
 
-    Parameters
-    ----------
-    chain : Chain
-        Chain of rigid bodies.
-    contacts : NativeContacts
-        Native contacts of the start.
-    q : (n_q,) float
-        Coordinates of the end.
-    energies : (n,) float, kJ/mol
-        Energy of each step, the start included.
-    shares : (n,) float
-        Share of the native contacts that remain at each step.
-    rates : (n - 1,) float, nm
-        Predicted increase of the sum of distances in each step, above 0.
-    is_unfolded : bool
-        Whether the share fell to the limit before the steps were used up.
-    """
-
-    chain: Chain
-    contacts: NativeContacts
-    q: Floats
-    energies: Floats
-    shares: Floats
-    rates: Floats
-    is_unfolded: bool
+    chain: Chain  # Chain of rigid bodies.
+    contacts: NativeContacts  # Native contacts of the start.
+    q: Floats  # (n_q,) float: Coordinates of the end.
+    energies: Floats  # (n,) float, kJ/mol: Energy of each step, the start included.
+    shares: Floats  # (n,) float: Share of the native contacts that remain at each step.
+    rates: Floats  # (n - 1,) float, nm: Predicted increase of the sum of distances in each step, above 0.
+    is_unfolded: bool  # Whether the share fell to the limit before the steps were used up.
 
     @property
     def structure(self) -> Structure:

@@ -4,10 +4,13 @@ Functions use them by name, commands as their options, and batches as the column
 """
 
 import inspect
+import itertools
+import linecache
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -92,12 +95,51 @@ def document_settings(*kinds: type) -> Callable[[Documented], Documented]:
 
 
 def _entry(item: "Field[Any]") -> str:
-    """Entry of a field in the section of parameters of a docstring."""
+    """Entry of a setting in the section of parameters of a docstring."""
     described: Setting = item.metadata["setting"]
     kind = described.type or getattr(item.type, "__name__", str(item.type).replace(" | None", ", optional"))
     text = described.doc or described.help
-    text = f"One of {text}" if text[:1].islower() else text
-    return f"{item.name} : {kind}\n{textwrap.indent(textwrap.fill(text, 100), '    ')}"
+    return _entry_of(item.name, kind, f"One of {text}" if text[:1].islower() else text)
+
+
+def _entry_of(name: str, kind: str, text: str) -> str:
+    lines = textwrap.fill(text, 100, break_on_hyphens=False)
+    return f"{name} : {kind}\n{textwrap.indent(lines, '    ')}"
+
+
+_FIELD = re.compile(r"^((?: {4,8}# .*\n)*) {4,8}(\w+): (.+?)(?: = .*?)?(?:  # (.*))?$", re.MULTILINE)
+"""Comment above a field, its name, its type, and the comment behind it."""
+_COMMENT = re.compile(r"(?:([^A-Z`:][^:]*|K): )?(.*)")
+"""Unit or shape, and text, of a comment."""
+
+
+def document_fields(kind: type[Made]) -> type[Made]:
+    """Decorate a dataclass: its docstring gets an entry for each field that has a comment.
+
+    The comment is above or behind the field. It may begin with a unit, as ``nm: Distance.``, or with a shape
+    and unit in place of the type, as ``(n, 3) float, nm: Positions.``
+    """
+    entries: dict[str, str] = {}
+    for base in filter(is_dataclass, kind.__mro__):
+        for above, name, annotation, behind in _FIELD.findall(_source(base)):
+            unit, text = _COMMENT.findall(" ".join(f"{above.replace('# ', '')} {behind}".split()))[0]
+            parts = [annotation.removesuffix(" | None").strip("'\""), unit]
+            parts += ["optional"] * annotation.endswith(" | None")
+            described = unit if unit.startswith("(") else ", ".join(filter(None, parts))
+            if text:
+                entries.setdefault(name, _entry_of(name, described, text))
+    before, *sections = re.split(r"\n\n(?=\w+\n---)", inspect.getdoc(kind) or "", maxsplit=1)
+    listed = [entries[item.name] for item in fields(kind) if item.name in entries]  # type: ignore[arg-type]  # a dataclass
+    kind.__doc__ = "\n\n".join([before, "\n".join(["Parameters\n----------", *listed]), *sections]) + "\n"
+    return kind
+
+
+def _source(kind: type) -> str:
+    """Source of a class below its name. Empty if the file of its module is missing."""
+    # Much quicker than inspect.getsource, which parses the file.
+    lines = linecache.getlines(getattr(sys.modules[kind.__module__], "__file__", None) or "")
+    below = itertools.dropwhile(lambda line: not re.match(rf"class {kind.__name__}\b", line), lines)
+    return "".join(itertools.takewhile(lambda line: line[:1] in " )\n", itertools.islice(below, 1, None)))
 
 
 def settings_from(kind: type[Made], arguments: Mapping[str, Any], **other_fields: Any) -> Made:

@@ -8,6 +8,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError, Fault
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.mechanics.multibody import (
     Frames,
@@ -30,26 +31,15 @@ CLOSED_NM = 1e-12
 _ITERATIONS = 50
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """Distance constraints that close loops.
+    """Distance constraints that close loops."""
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    body : (m, 2) int
-        Bodies of the two ends of each distance.
-    local : (m, 2, 3) float, nm
-        Positions of the ends in the frames of their bodies.
-    length : (m,) float, nm
-        Constant values of the distances.
-    """
-
-    tree: Tree
-    body: Integers
-    local: Floats
-    length: Floats
+    tree: Tree  # Rigid bodies.
+    body: Integers  # (m, 2) int: Bodies of the two ends of each distance.
+    local: Floats  # (m, 2, 3) float, nm: Positions of the ends in the frames of their bodies.
+    length: Floats  # (m,) float, nm: Constant values of the distances.
 
     def ends(self, frames: Frames) -> Floats:
         """(m, 2, 3) float, nm: positions of the ends."""

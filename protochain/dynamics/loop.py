@@ -10,6 +10,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.settings import document_fields
 from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.hinge_springs import Dampers
 from protochain.dynamics.thermostats import Bath, Thermostat
@@ -31,26 +32,15 @@ class Ending(StrEnum):
     UNSTABLE = "unstable"
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class State:
-    """Complete state of a simulation, from which it can continue.
+    """Complete state of a simulation, from which it can continue."""
 
-    Parameters
-    ----------
-    step : int
-        Number of steps since the start.
-    at : Phase
-        Point in phase space.
-    bath : Bath
-        State of the thermostat.
-    damped : float, kJ/mol
-        Energy transferred to the dampers of hinges.
-    """
-
-    step: int
-    at: Phase
-    bath: Bath
-    damped: float = 0.0
+    step: int  # Number of steps since the start.
+    at: Phase  # Point in phase space.
+    bath: Bath  # State of the thermostat.
+    damped: float = 0.0  # kJ/mol: Energy transferred to the dampers of hinges.
 
     @property
     def conserved_energy(self) -> float:
@@ -58,37 +48,19 @@ class State:
         return self.at.total - float(np.sum(self.at.work)) + self.bath.energy + self.damped
 
 
+@document_fields
 @dataclass(frozen=True)
 class Propagator:
-    """System, integrator and thermostat, with the numbers that define a step.
+    """System, integrator and thermostat, with the numbers that define a step."""
 
-    Parameters
-    ----------
-    system : System
-        Rigid bodies in a potential.
-    integrator : Integrator
-        Integrator of the equations of motion.
-    thermostat : Thermostat
-        Thermostat, applied after each step of the integrator.
-    time_step : float, ps
-        Length of a step.
-    thermal_energy : float, kJ/mol
-        Value of kT for the thermostat and the initial velocities.
-    seed : int
-        Seed of all random numbers.
-    removes_com_motion : bool
-        Whether centre-of-mass translation and rotation are removed.
-    dampers : Dampers, optional
-        Dampers of hinges, which act for half a step before and after the integrator.
-    """
-
-    system: System
-    integrator: Integrator
-    thermostat: Thermostat
-    time_step: float
-    thermal_energy: float
-    seed: int
-    removes_com_motion: bool
+    system: System  # Rigid bodies in a potential.
+    integrator: Integrator  # Integrator of the equations of motion.
+    thermostat: Thermostat  # Thermostat, applied after each step of the integrator.
+    time_step: float  # ps: Length of a step.
+    thermal_energy: float  # kJ/mol: Value of kT for the thermostat and the initial velocities.
+    seed: int  # Seed of all random numbers.
+    removes_com_motion: bool  # Whether centre-of-mass translation and rotation are removed.
+    # Dampers of hinges, which act for half a step before and after the integrator.
     dampers: Dampers | None = None
 
 

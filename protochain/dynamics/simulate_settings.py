@@ -23,7 +23,7 @@ from protochain.core.checks import (
     text,
 )
 from protochain.core.errors import Argument, ProtochainError, refusal
-from protochain.core.settings import Settings, document_settings, setting
+from protochain.core.settings import Settings, document_fields, document_settings, setting
 from protochain.core.units import MOLAR_GAS
 
 LONGEST_STEP = 0.5
@@ -110,20 +110,10 @@ class Pull(Settings):
         return " - ".join(self.between)
 
 
+@document_fields
 @dataclass(frozen=True)
 class HingeSpring:
     """Springs and dampers on all hinges of a kind, or on one, in addition to the force field.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which must be open in the
-        chain, or one hinge, as ``phi@A:3`` or ``phi A:3``.
-    stiffness : float, kJ/mol/rad^2
-        E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
-        value at the start.
-    damping : float, kJ/mol ps/rad^2
-        Torque against the motion, divided by the hinge's rate. Thermostats add random torques.
 
     Raises
     ------
@@ -136,8 +126,13 @@ class HingeSpring:
     'phi'
     """
 
+    # Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which must be open in the
+    # chain, or one hinge, as ``phi@A:3`` or ``phi A:3``.
     kind: str
+    # kJ/mol/rad^2: E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle,
+    # with q0 the value at the start.
     stiffness: float
+    # kJ/mol ps/rad^2: Torque against the motion, divided by the hinge's rate. Thermostats add random torques.
     damping: float = 0.0
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd, measure_restraints
 from protochain.core.arrays import Floats
 from protochain.core.markup import plural
+from protochain.core.settings import document_fields
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
@@ -29,41 +30,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Simulation(ViolationsAtEnd):
     """Result of a simulation: final state, log and outcome.
-
-    Parameters
-    ----------
-    chain : Chain
-        Chain as simulated: with a free root, and with repartitioned hydrogen masses if requested.
-    energy_function : Energy
-        Force field.
-    settings : SimulationSettings
-        Settings of the simulation.
-    freedoms : int
-        Number of degrees of freedom, without constraints. The six of rigid motion are subtracted if the
-        thermostat conserves momentum and the molecule is not fixed from outside.
-    state : protochain.dynamics.State
-        Last valid state.
-    ending : Ending
-        Outcome.
-    message : str
-        Outcome in one line.
-    rows : tuple of dict
-        Rows of the log.
-    last : dict
-        Row of the last state, which is not in the log if its step is not a multiple of ``every``.
-    n_steps : int
-        Number of steps done by this call.
-    seconds : float
-        Wall time of these steps.
-    frame : Frame
-        Whether frames are superposed on the start, and if not, the reason that fixed the chain in space.
-    stored_frames : tuple of (na, 3) float32, nm
-        Positions at the rows of the log, for a run without a folder.
-    trajectory : Path, optional
-        File of the frames.
 
     Examples
     --------
@@ -71,20 +41,25 @@ class Simulation(ViolationsAtEnd):
     (3, 103, 3)
     """
 
-    chain: Chain
-    energy_function: Energy
-    settings: SimulationSettings
+    chain: Chain  # Chain as simulated: with a free root, and with repartitioned hydrogen masses if requested.
+    energy_function: Energy  # Force field.
+    settings: SimulationSettings  # Settings of the simulation.
+    # Number of degrees of freedom, without constraints. The six of rigid motion are subtracted if the
+    # thermostat conserves momentum and the molecule is not fixed from outside.
     freedoms: int
-    state: State
-    ending: Ending
-    message: str
-    rows: tuple[dict[str, float], ...]
+    state: State  # Last valid state.
+    ending: Ending  # Outcome.
+    message: str  # Outcome in one line.
+    rows: tuple[dict[str, float], ...]  # Rows of the log.
+    # Row of the last state, which is not in the log if its step is not a multiple of ``every``.
     last: dict[str, float]
-    n_steps: int
-    seconds: float
+    n_steps: int  # Number of steps done by this call.
+    seconds: float  # Wall time of these steps.
+    # Whether frames are superposed on the start, and if not, the reason that fixed the chain in space.
     frame: Frame
+    # Positions (na, 3), nm, at the rows of the log, for a run without a folder.
     stored_frames: tuple[NDArray[np.float32], ...] = ()
-    trajectory: Path | None = None
+    trajectory: Path | None = None  # File of the frames.
 
     @cached_property
     def frames(self) -> Any:

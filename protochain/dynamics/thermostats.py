@@ -8,6 +8,7 @@ import numpy as np
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, read_only
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion.system import Phase, System
 from protochain.mechanics.multibody.articulated import sample
 
@@ -59,21 +60,17 @@ class Isolated(Thermostat):
         return at, bath
 
 
+@document_fields
 @dataclass(frozen=True)
 class Langevin(Thermostat):
     """Langevin thermostat in the mass metric: qd -> c qd + sqrt(1 - c^2) times a thermal velocity.
 
     Exact solution of dp = -friction p dt + sqrt(2 friction kT) M^1/2 dW at constant q, alternating with the
     leapfrog (as in Leimkuhler, Matthews, *Molecular Dynamics*, 2015). At 0 K it only damps.
-
-    Parameters
-    ----------
-    thermal_energy, friction : float, kJ/mol and 1/ps
-        Value of kT, and friction coefficient.
     """
 
-    thermal_energy: float
-    friction: float = defaults.FRICTION
+    thermal_energy: float  # kJ/mol: Value of kT.
+    friction: float = defaults.FRICTION  # 1/ps: Friction coefficient.
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
@@ -85,27 +82,19 @@ class Langevin(Thermostat):
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
 
+@document_fields
 @dataclass(frozen=True)
 class Rescaling(Thermostat):
     """Stochastic velocity rescaling: one random factor that makes the kinetic energy canonical.
 
     Bussi, Donadio, Parrinello, J. Chem. Phys. 126:014101 (2007), equation A7.
-
-    Parameters
-    ----------
-    thermal_energy : float, kJ/mol
-        Value of kT.
-    freedoms : int
-        Number of degrees of freedom.
-    friction : float, 1/ps
-        Relaxation rate of the velocities.
     """
 
     conserves_momentum: ClassVar[bool] = True
 
-    thermal_energy: float
-    freedoms: int
-    friction: float = defaults.FRICTION
+    thermal_energy: float  # kJ/mol: Value of kT.
+    freedoms: int  # Number of degrees of freedom.
+    friction: float = defaults.FRICTION  # 1/ps: Relaxation rate of the velocities.
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
@@ -130,27 +119,20 @@ _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 _YOSHIDA = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)
 
 
+@document_fields
 @dataclass(frozen=True)
 class NoseHoover(Thermostat):
     """Nose-Hoover chain of three thermostats: deterministic and time-reversible.
 
     Martyna, Tuckerman, Tobias, Klein, Mol. Phys. 87:1117 (1996), with Yoshida's weights of order four. The
     bath's memory contains the friction coefficients (1/ps), then their integrals.
-
-    Parameters
-    ----------
-    thermal_energy : float, kJ/mol
-        Value of kT.
-    freedoms : int
-        Number of degrees of freedom.
-    friction : float, 1/ps
-        Frequency of the chain: thermostat masses are kT / friction^2.
     """
 
     conserves_momentum: ClassVar[bool] = True
 
-    thermal_energy: float
-    freedoms: int
+    thermal_energy: float  # kJ/mol: Value of kT.
+    freedoms: int  # Number of degrees of freedom.
+    # 1/ps: Frequency of the chain: thermostat masses are kT / friction^2.
     friction: float = defaults.FRICTION
 
     @property
@@ -190,6 +172,7 @@ class NoseHoover(Thermostat):
         xi[i] = (xi[i] * brake + h * force) * brake
 
 
+@document_fields
 @dataclass(frozen=True)
 class HybridMonteCarlo(Thermostat):
     """Hybrid Monte Carlo: short trajectories from thermal velocities, accepted by Metropolis' criterion.
@@ -199,17 +182,10 @@ class HybridMonteCarlo(Thermostat):
     distribution in torsions. A trajectory with a failed or irreversible step is rejected. The memory contains
     the steps since the last test, the numbers of accepted and tried trajectories, and the total energy and q
     at the last start.
-
-    Parameters
-    ----------
-    thermal_energy : float, kJ/mol
-        Value of kT.
-    trajectory_length : int
-        Number of steps of a trajectory.
     """
 
-    thermal_energy: float
-    trajectory_length: int = defaults.TRAJECTORY_LENGTH
+    thermal_energy: float  # kJ/mol: Value of kT.
+    trajectory_length: int = defaults.TRAJECTORY_LENGTH  # Number of steps of a trajectory.
     metropolis: ClassVar[bool] = True
 
     def init(self, at: Phase) -> Bath:

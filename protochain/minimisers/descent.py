@@ -9,6 +9,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.checks import following
 from protochain.core.errors import ProtochainError
+from protochain.core.settings import document_fields
 from protochain.minimisers.metrics import Euclidean, Metric, Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import Rule
@@ -46,20 +47,13 @@ class DescentState:
     rule: Any
 
 
+@document_fields
 @dataclass(frozen=True)
 class Descent:
-    """Step along the first direction proposed in which the step rule finds a next point.
+    """Step along the first direction proposed in which the step rule finds a next point."""
 
-    Parameters
-    ----------
-    direction : Direction
-        Where to step.
-    rule : Rule
-        How far to step.
-    """
-
-    direction: Direction
-    rule: Rule
+    direction: Direction  # Where to step.
+    rule: Rule  # How far to step.
     states = (DescentState,)
 
     def __post_init__(self) -> None:

@@ -65,20 +65,11 @@ class MeanMovement:
 
     Products and solutions are O(n) sweeps. I + multiplier Q is the mass matrix of the weights with an
     armature of 1/multiplier at every hinge, times the multiplier.
-
-    Parameters
-    ----------
-    tree : Tree
-        The chain's tree with weights, of sum 1, in place of the masses.
-    pose : Pose
-        Pose of the chain.
-    scale : (n_v,) float
-        Rates of the freedoms for a unit step, as in :class:`Torsions`.
     """
 
-    tree: Tree
-    pose: Pose
-    scale: Floats
+    tree: Tree  # The chain's tree with weights, of sum 1, in place of the masses.
+    pose: Pose  # Pose of the chain.
+    scale: Floats  # (n_v,) float: Rates of the freedoms for a unit step, as in :class:`Torsions`.
 
     def product(self, step: Floats) -> Floats:
         """Q d for a step (n_v,)."""
@@ -186,19 +177,13 @@ def nearest_within(step: Floats, ellipsoid: Ellipsoid, bound: float) -> tuple[Fl
 
 @dataclass(frozen=True)
 class EntropyBound(KCM):
-    """KCM's direction, or the nearest one within an ellipsoid that limits the rate of entropy loss.
+    """KCM's direction, or the nearest one within an ellipsoid that limits the rate of entropy loss."""
 
-    Parameters
-    ----------
-    rate : float
-        Largest RMS movement for each radian by which the hinge of largest torque turns without the bound:
-        nm/rad, or rad/rad in the metric ``turns``.
-    within : str
-        Metric Q: RMS of the turns, of the movement of all atoms weighted by mass, of the C-alphas
-        (``positions``), or of the C-alphas weighted by their contacts.
-    """
-
+    # Largest RMS movement for each radian by which the hinge of largest torque turns without the bound:
+    # nm/rad, or rad/rad in the metric ``turns``.
     rate: float = math.inf
+    # Metric Q: RMS of the turns, of the movement of all atoms weighted by mass, of the C-alphas
+    # (``positions``), or of the C-alphas weighted by their contacts.
     within: MetricName = "positions"
 
     def propose(
@@ -213,14 +198,9 @@ class EntropyBound(KCM):
 
 @dataclass(frozen=True)
 class TurnBound(KCM):
-    """KCM's direction, or the nearest one in which no hinge turns by more than its limit.
+    """KCM's direction, or the nearest one in which no hinge turns by more than its limit."""
 
-    Parameters
-    ----------
-    limit : float
-        Largest turn of a hinge as a share of the turn of the hinge of largest torque without the bound.
-    """
-
+    # Largest turn of a hinge as a share of the turn of the hinge of largest torque without the bound.
     limit: float = 1.0
 
     def propose(

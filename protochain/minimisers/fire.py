@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.minimisers.metrics import Mass, Metric, Preconditioner
 from protochain.minimisers.problem import Evaluation, Problem
 
@@ -21,6 +22,7 @@ class FireState:
     downhill: int = 0
 
 
+@document_fields
 @dataclass(frozen=True)
 class Fire:
     """Move with inertia, turn the velocity towards the torques, and stop when the energy rises.
@@ -28,24 +30,13 @@ class Fire:
     Bitzek, Koskinen, Gaehler, Moseler, Gumbsch, Phys. Rev. Lett. 97:170201 (2006), in a metric: accelerations
     are M^-1 tau. With all of the velocity turned (``mixing`` 1 and ``fade`` 1) it is the velocity quench of
     Jonsson, Mills, Jacobsen (1998).
-
-    Parameters
-    ----------
-    metric : Metric
-        Inertia.
-    mixing : float
-        Share of the velocity turned towards the torques.
-    fade : float
-        Factor on the mixing at each step downhill.
-    time_step, longest_time_step : float, ps
-        Initial and largest time step.
     """
 
-    metric: Metric = field(default_factory=Mass)
-    mixing: float = 0.1
-    fade: float = 0.99
-    time_step: float = 0.001
-    longest_time_step: float = 0.02
+    metric: Metric = field(default_factory=Mass)  # Inertia.
+    mixing: float = 0.1  # Share of the velocity turned towards the torques.
+    fade: float = 0.99  # Factor on the mixing at each step downhill.
+    time_step: float = 0.001  # ps: Initial time step.
+    longest_time_step: float = 0.02  # ps: Largest time step.
     states = (FireState,)
 
     def init(self, problem: Problem, at: Evaluation) -> FireState:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Euclidean, Metric, Solve
 from protochain.minimisers.problem import Evaluation, Problem
@@ -29,6 +30,7 @@ def by_sign(direction: Floats) -> Floats:
     return np.sign(direction)
 
 
+@document_fields
 @dataclass(frozen=True)
 class KCM(Direction):
     """Turn every hinge in proportion to its torque, with a set largest turn, or a set norm of all turns.
@@ -36,17 +38,10 @@ class KCM(Direction):
     theta_{k+1} = theta_k + h f(tau_k), with f(tau) = tau / max|tau|. It has no masses, no velocities and no
     line search. The step rule sets h. With a metric P the direction is f(P^-1 tau). With P = M it is
     overdamped motion of the chain. theory.md lists the sources, and papers that could not be read.
-
-    Parameters
-    ----------
-    metric : Metric
-        Metric P.
-    norm : callable
-        Norm f.
     """
 
-    metric: Metric = field(default_factory=Euclidean)
-    norm: Callable[[Floats], Floats] = by_largest
+    metric: Metric = field(default_factory=Euclidean)  # Metric P.
+    norm: Callable[[Floats], Floats] = by_largest  # Norm f.
 
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: None
@@ -55,24 +50,19 @@ class KCM(Direction):
         yield self.norm(solve(at.torque)), memory
 
 
+@document_fields
 @dataclass(frozen=True)
 class Proportional(Direction):
     """Turn every hinge by its torque times one constant compliance: theta_{k+1} = theta_k + c tau_k.
 
     In a harmonic well this converges if c is below 2/kappa, with kappa the largest eigenvalue of the
     Hessian. c is set at the start and stays constant, so that it is too large if stiffer contacts form later.
-
-    Parameters
-    ----------
-    safety : float
-        Share of 2/kappa. In extended Met-enkephalin kappa is 143 kJ/mol/rad^2, in the minimum 376. There a
-        share of 0.25 converges, and 0.5 does not.
-    n_products : int
-        Products with the Hessian for kappa, each two evaluations.
     """
 
+    # Share of 2/kappa. In extended Met-enkephalin kappa is 143 kJ/mol/rad^2, in the minimum 376. There a
+    # share of 0.25 converges, and 0.5 does not.
     safety: float = 0.25
-    n_products: int = 8
+    n_products: int = 8  # Products with the Hessian for kappa, each two evaluations.
 
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: tuple[float, ...]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg.blas import daxpy, ddot
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
@@ -23,6 +24,7 @@ Pairs = tuple[tuple[Floats, Floats, float], ...]
 """Steps, the decreases of torque along them, and the (positive) products of both, oldest first."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class LBFGS(Direction):
     """L-BFGS: Nocedal, Wright, *Numerical Optimization* (2006), 7.4-7.5.
@@ -30,17 +32,10 @@ class LBFGS(Direction):
     The first estimate of the Hessian is a metric, scaled to the last pair. It may change from one iteration
     to the next. Free roots move on their rotation group. Steps and torque changes of successive points are
     treated as vectors of one space, which is correct to first order in the step.
-
-    Parameters
-    ----------
-    metric : Metric
-        First estimate of the Hessian.
-    memory : int
-        Number of stored pairs.
     """
 
-    metric: Metric = field(default_factory=Stiffness)
-    memory: int = 100
+    metric: Metric = field(default_factory=Stiffness)  # First estimate of the Hessian.
+    memory: int = 100  # Number of stored pairs.
 
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: Pairs

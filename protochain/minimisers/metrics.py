@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.core.timings import part
 from protochain.minimisers.problem import Evaluation, Space
 
@@ -28,53 +29,39 @@ class Metric(Protocol):
         """Solver for the matrix at a point."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Euclidean:
-    """The identity.
+    """The identity."""
 
-    Parameters
-    ----------
-    refresh_every : int
-        Iterations between two computations of the matrix.
-    """
-
-    refresh_every: int = 1_000_000_000
+    refresh_every: int = 1_000_000_000  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the identity: a copy."""
         return np.copy
 
 
+@document_fields
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix. Descent in this metric is overdamped motion of the chain (M^-1 tau in O(n)).
+    """The mass matrix. Descent in this metric is overdamped motion of the chain (M^-1 tau in O(n))."""
 
-    Parameters
-    ----------
-    refresh_every : int
-        Iterations between two computations of the matrix.
-    """
-
-    refresh_every: int = 1
+    refresh_every: int = 1  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the mass matrix."""
         return space.inertia(at)
 
 
+@document_fields
 @dataclass(frozen=True)
 class Stiffness:
     """A model of the Hessian from the force field's near terms, or from springs if these are not known.
 
     See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.spring_model`.
-
-    Parameters
-    ----------
-    refresh_every : int
-        Iterations between two computations of the matrix.
     """
 
-    refresh_every: int = 20
+    refresh_every: int = 20  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""
@@ -96,26 +83,15 @@ class Damped(Stiffness):
         return space.stiffness(at, None, np.full(len(at.x), self.damping * at.residual))
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """A metric computed at one point, and used for some iterations.
+    """A metric computed at one point, and used for some iterations."""
 
-    Parameters
-    ----------
-    metric : Metric
-        Computes the matrix.
-    made_at : Evaluation
-        Point of the computation.
-    solve : callable
-        Solver for the matrix.
-    age : int
-        Iterations since then.
-    """
-
-    metric: Metric
-    made_at: Evaluation
-    solve: Solve
-    age: int = 0
+    metric: Metric  # Computes the matrix.
+    made_at: Evaluation  # Point of the computation.
+    solve: Solve  # Solver for the matrix.
+    age: int = 0  # Iterations since then.
 
     @classmethod
     @part("metric")

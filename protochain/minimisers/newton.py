@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
@@ -23,23 +24,17 @@ class PseudoTransientState:
     time_step: float
 
 
+@document_fields
 @dataclass(frozen=True)
 class Newton(Direction):
     """Truncated Newton: Dembo, Steihaug, Math. Program. 26:190 (1983).
 
     Preconditioned conjugate gradients solve H d = tau until the residual is small relative to the torque, or
     the curvature along a direction is negative. A product with H costs an evaluation.
-
-    Parameters
-    ----------
-    metric : Metric
-        The preconditioner.
-    max_products : int
-        Products with H in one step at most.
     """
 
-    metric: Metric = field(default_factory=Stiffness)
-    max_products: int = 30
+    metric: Metric = field(default_factory=Stiffness)  # The preconditioner.
+    max_products: int = 30  # Products with H in one step at most.
 
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: None
@@ -54,6 +49,7 @@ class Newton(Direction):
                 yield direction, memory
 
 
+@document_fields
 @dataclass(frozen=True)
 class PseudoTransient:
     """Pseudo-transient continuation of d theta/dt = tau by linearly implicit Euler steps.
@@ -62,17 +58,11 @@ class PseudoTransient:
     delta_k |tau_{k-1}| / |tau_k|`` (switched evolution relaxation, Kelley, Keyes, SIAM J. Numer. Anal.
     35:508, 1998, and for the compliance method Robotics 13(10):150, 2024). It begins with small steps along
     the torques and becomes Newton's method. A step that raises the energy is rejected, and delta reduced.
-
-    Parameters
-    ----------
-    time_step : float, rad^2 mol/kJ
-        First delta, for a largest torque of 1 kJ/mol/rad. It is divided by the largest torque.
-    max_products : int
-        Products with H in one step at most.
     """
 
+    # rad^2 mol/kJ: First delta, for a largest torque of 1 kJ/mol/rad. It is divided by the largest torque.
     time_step: float = 0.01
-    max_products: int = 30
+    max_products: int = 30  # Products with H in one step at most.
     states = (PseudoTransientState,)
 
     def init(self, problem: Problem, at: Evaluation) -> PseudoTransientState:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.core.timings import part
 
 Force = Callable[[Floats], tuple[float, Floats]]
@@ -29,29 +30,18 @@ class Placement(Protocol):
         """(na, 3) float, nm."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Energy and torques at one point.
+    """Energy and torques at one point."""
 
-    Parameters
-    ----------
-    pose : Placement
-        For metrics computed at this point.
-    energy : float, kJ/mol
-        Of force field and restraint together.
-    torque : (n_v,) float
-        -dE/d(freedom) in the space's own scale: kJ/mol/rad, or kJ/mol/nm for atoms that move freely.
-    residual : float
-        Largest torque or RMS force, to be compared with the tolerance.
-    restraint : float, kJ/mol
-        Energy of the restraint alone.
-    """
-
-    pose: Placement
-    energy: float
+    pose: Placement  # For metrics computed at this point.
+    energy: float  # kJ/mol: Of force field and restraint together.
+    # (n_v,) float: -dE/d(freedom) in the space's own scale: kJ/mol/rad, or kJ/mol/nm for atoms that move
+    # freely.
     torque: Floats
-    residual: float
-    restraint: float = 0.0
+    residual: float  # Largest torque or RMS force, to be compared with the tolerance.
+    restraint: float = 0.0  # kJ/mol: Energy of the restraint alone.
 
     @property
     def q(self) -> Floats:
@@ -129,35 +119,19 @@ class Tally:
     improved_at: int = 0  # Number of the evaluation that found it.
 
 
+@document_fields
 @dataclass
 class Problem:
-    """An energy over a space, with a budget of evaluations.
+    """An energy over a space, with a budget of evaluations."""
 
-    Parameters
-    ----------
-    space : Space
-        Freedoms to minimise in.
-    energy : callable
-        Positions to energy and forces.
-    max_evaluations : int
-        Evaluations allowed.
-    restraint : callable, optional
-        Added to the energy.
-    allowed : callable, optional
-        Whether positions may be the result. A run may pass through any.
-    tally : Tally
-        Evaluations so far.
-    interrupts : sequence of int
-        Signals received. After one, evaluation stops.
-    """
-
-    space: Space
-    energy: Force
-    max_evaluations: int
-    restraint: Force | None = None
+    space: Space  # Freedoms to minimise in.
+    energy: Force  # Positions to energy and forces.
+    max_evaluations: int  # Evaluations allowed.
+    restraint: Force | None = None  # Added to the energy.
+    # Whether positions may be the result. A run may pass through any.
     allowed: Callable[[Floats], bool] | None = None
-    tally: Tally = field(default_factory=Tally)
-    interrupts: Sequence[int] = ()
+    tally: Tally = field(default_factory=Tally)  # Evaluations so far.
+    interrupts: Sequence[int] = ()  # Signals received. After one, evaluation stops.
 
     @property
     def n_evaluations(self) -> int:

@@ -15,6 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.checks import check_arguments, number, one_of, refuse_class
 from protochain.core.errors import Argument, ProtochainError, refusal
+from protochain.core.settings import document_fields
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
@@ -42,34 +43,19 @@ from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, S
 from protochain.validation.rings import threaded_rings
 
 
+@document_fields
 @dataclass(frozen=True)
 class Run:
-    """A stage of a recipe, for any chain and energy.
+    """A stage of a recipe, for any chain and energy."""
 
-    Parameters
-    ----------
-    method : Method
-        As the loop runs it.
-    in_torsions : bool
-        Whether hinges turn; otherwise all atoms move.
-    tolerance : float, optional
-        Default: the tolerance of the whole minimisation.
-    patience : int
-        As of :class:`Stage`.
-    answer : callable
-        As of :class:`Stage`.
-    continued : bool
-        Whether to continue on the energy's double-precision reference if single precision fails.
-    by_springs : Method, optional
-        Replaces ``method`` if the near terms of an energy are not known, e.g. for a callable.
-    """
-
-    method: Method
-    in_torsions: bool = True
-    tolerance: float | None = None
-    patience: int = PATIENCE
-    answer: Answer = lowest
+    method: Method  # As the loop runs it.
+    in_torsions: bool = True  # Whether hinges turn; otherwise all atoms move.
+    tolerance: float | None = None  # Default: the tolerance of the whole minimisation.
+    patience: int = PATIENCE  # As of :class:`Stage`.
+    answer: Answer = lowest  # As of :class:`Stage`.
+    # Whether to continue on the energy's double-precision reference if single precision fails.
     continued: bool = True
+    # Replaces ``method`` if the near terms of an energy are not known, e.g. for a callable.
     by_springs: Method | None = None
 
     def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
@@ -103,33 +89,20 @@ def _add_tethers(method: Any, tether: Floats | None) -> Method:
     return replace(method, direction=replace(method.direction, metric=model))
 
 
+@document_fields
 @dataclass(frozen=True)
 class Recipe:
-    """A named method, as the stages it runs.
+    """A named method, as the stages it runs."""
 
-    Parameters
-    ----------
-    name : str
-        A method of ``METHODS``, or a custom one.
-    runs : tuple of Run
-        In order of execution, the last once for each restraint. OpenMM's methods have none.
-    parts_overlaps : bool
-        Whether overlapping atoms are separated locally first, while springs restrain all others. Methods that
-        turn hinges do this also at large torques. KCM follows the torques alone.
-    draws_random : bool
-        Whether its result depends on the seed.
-    by_openmm : bool
-        Whether OpenMM's own minimiser runs.
-    typical : int
-        Usual evaluations to converge, or 0 if they are not known or usually all are used.
-    """
-
-    name: str
+    name: str  # A method of ``METHODS``, or a custom one.
+    # In order of execution, the last once for each restraint. OpenMM's methods have none.
     runs: tuple[Run, ...] = ()
+    # Whether overlapping atoms are separated locally first, while springs restrain all others. Methods that
+    # turn hinges do this also at large torques. KCM follows the torques alone.
     parts_overlaps: bool = False
-    draws_random: bool = False
-    by_openmm: bool = False
-    typical: int = 0
+    draws_random: bool = False  # Whether its result depends on the seed.
+    by_openmm: bool = False  # Whether OpenMM's own minimiser runs.
+    typical: int = 0  # Usual evaluations to converge, or 0 if they are not known or usually all are used.
 
     @property
     def keeps_geometry(self) -> bool:

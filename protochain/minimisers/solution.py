@@ -18,6 +18,7 @@ from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
+from protochain.core.settings import document_fields
 from protochain.energies.decomposed import terms_at
 from protochain.energies.protocol import Energy
 from protochain.minimisers.recipes import Recipe
@@ -210,66 +211,10 @@ class RunEnds(ViolationsAtEnd, Value):
         return ligand_motion(self.frame.start, self.x)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Solution(RunEnds):
     """Result of a minimisation, judged in double precision.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        The method.
-    chain : Chain
-        Chain at the start.
-    energy_function : Energy
-        With all terms.
-    constant_terms : mapping of str to int
-        Numbers, by kind, of terms and pairs that the run skips because they are constant in this chain.
-    q : (n_q,) float
-        Coordinates at the end, or of the chain rebuilt there if all atoms moved. Their pose equals ``x`` up
-        to one rigid motion of all atoms.
-    x : (na, 3) float, nm
-        Positions at the end, in the frame of the start.
-    energy : float, kJ/mol
-        By the engine of the run. ``end.energy`` is the judge's.
-    status : Status
-        How the run ended, as judged.
-    ended : str
-        Status and residual in words. ``message`` also reports an end far from the start.
-    n_iterations, n_evaluations : int
-        Iterations, and energy evaluations, of the run.
-    seconds : float
-        Wall time of the run, without preparation and judgement.
-    trace : pandas.DataFrame
-        A row per iteration, with columns ``TRACE_COLUMNS``. If hinges turn, RMS and largest torque. If all
-        atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints are
-        included. A run converges by its largest torque or RMS force.
-    start, end : Judgement
-        Energy and residuals in double precision.
-    judge : str
-        Name of the judge that computed them.
-    frame : Frame
-        Whether ``x`` was superposed on the start, and if not, the reason that fixed the run in space.
-    ca_rmsd_angstrom : float
-        Between start and end, after superposition.
-    tolerance : float
-        Residual at convergence.
-    hold : Hold
-        Restraints to the start.
-    seed : int
-        Of random methods.
-    restraints : two float or None, kJ/mol
-        Energies at start and end of the restraint at the end, not included in others. None without one.
-    restraint_values : tuple of RestraintValue
-        Values and violations of the listed restraints at the end.
-    timings : mapping of str to float, s
-        Wall times by part of the call, which add up to the whole, and ``serial_share_of_loop``: share of the
-        loop on a single thread, None if OpenMM computes.
-    lowest_eigenvalue : float or None, kJ/mol/rad^2 or kJ/mol/nm^2
-        Of the Hessian at the end, in torsions or in the positions of all atoms. None if not computed.
-    frame_rows : (n,) int
-        Rows of the trace of ``frames``: equidistant from the first row, and the last row.
-    frames : (n, na, 3) float32, nm
-        Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution, solution.frames)``.
 
     Examples
     --------
@@ -278,35 +223,51 @@ class Solution(RunEnds):
     ('converged', True)
     """
 
-    recipe: Recipe
-    chain: Chain
-    energy_function: Energy
+    recipe: Recipe  # The method.
+    chain: Chain  # Chain at the start.
+    energy_function: Energy  # With all terms.
+    # Numbers, by kind, of terms and pairs that the run skips because they are constant in this chain.
     constant_terms: Mapping[str, int]
+    # (n_q,) float: Coordinates at the end, or of the chain rebuilt there if all atoms moved. Their pose
+    # equals ``x`` up to one rigid motion of all atoms.
     q: Floats
-    x: Floats
-    energy: float
-    status: Status
-    ended: str
-    n_iterations: int
-    n_evaluations: int
-    seconds: float
+    x: Floats  # (na, 3) float, nm: Positions at the end, in the frame of the start.
+    energy: float  # kJ/mol: By the engine of the run. ``end.energy`` is the judge's.
+    status: Status  # How the run ended, as judged.
+    ended: str  # Status and residual in words. ``message`` also reports an end far from the start.
+    n_iterations: int  # Iterations of the run.
+    n_evaluations: int  # Energy evaluations of the run.
+    seconds: float  # Wall time of the run, without preparation and judgement.
     if TYPE_CHECKING:
+        # A row per iteration, with columns ``TRACE_COLUMNS``. If hinges turn, RMS and largest torque. If all
+        # atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints are
+        # included. A run converges by its largest torque or RMS force.
         trace: pd.DataFrame
     else:
         trace: Any = _LazyField()
-    start: Judgement
-    end: Judgement
-    judge: str
+    start: Judgement  # Energy and residuals at the start, in double precision.
+    end: Judgement  # Energy and residuals at the end, in double precision.
+    judge: str  # Name of the judge that computed them.
+    # Whether ``x`` was superposed on the start, and if not, the reason that fixed the run in space.
     frame: Frame
-    ca_rmsd_angstrom: float
-    tolerance: float
-    hold: Hold
-    seed: int
+    ca_rmsd_angstrom: float  # Between start and end, after superposition.
+    tolerance: float  # Residual at convergence.
+    hold: Hold  # Restraints to the start.
+    seed: int  # Of random methods.
+    # kJ/mol: Energies at start and end of the restraint at the end, not included in others. None without one.
     restraints: tuple[float, float] | None = None
+    # Values and violations of the listed restraints at the end.
     restraint_values: tuple[RestraintValue, ...] = ()
+    # s: Wall times by part of the call, which add up to the whole, and ``serial_share_of_loop``: share of the
+    # loop on a single thread, None if OpenMM computes.
     timings: Mapping[str, float | None] = field(default_factory=dict)
+    # kJ/mol/rad^2 or kJ/mol/nm^2: Of the Hessian at the end, in torsions or in the positions of all atoms.
+    # None if not computed.
     lowest_eigenvalue: float | None = None
+    # (n,) int: Rows of the trace of ``frames``: equidistant from the first row, and the last row.
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    # (n, na, 3) float32, nm: Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution,
+    # solution.frames)``.
     frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))
 
     @property

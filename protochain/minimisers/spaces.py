@@ -12,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from protochain.chains.chain import Chain, Pose, pose, pull_back
 from protochain.core.arrays import Floats, Integers
 from protochain.core.interrupts import run_interruptible
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.articulated import solve_at_once
@@ -40,20 +41,13 @@ _LARGE = 500
 """Freedoms or atoms from which a stiffness is computed in a thread, so that Ctrl-C still works."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Torsions:
-    """Hinge angles and free roots of a chain. A free root moves by ``ROOT_LEVER`` per unit.
+    """Hinge angles and free roots of a chain. A free root moves by ``ROOT_LEVER`` per unit."""
 
-    Parameters
-    ----------
-    chain : Chain
-        Its structure is the start.
-    terms : NearTerms, optional
-        Of the force field, for its stiffness.
-    """
-
-    chain: Chain
-    terms: NearTerms | None = None
+    chain: Chain  # Its structure is the start.
+    terms: NearTerms | None = None  # Of the force field, for its stiffness.
     longest = 0.5
     first = 0.01
     unit = "largest torque {:.4g} kJ/mol/rad"
@@ -211,23 +205,14 @@ class Positions:
         return self.q.reshape(-1, 3)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Cartesian:
-    """All atoms free. q is x, flattened. Steps and torques are in frames that turn with each atom's bonds.
+    """All atoms free. q is x, flattened. Steps and torques are in frames that turn with each atom's bonds."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Its bonds and masses are used.
-    moving : (na,) bool
-        Atoms that may move.
-    terms : NearTerms, optional
-        Of the force field, for its stiffness.
-    """
-
-    structure: Structure
-    moving: NDArray[np.bool_]
-    terms: NearTerms | None = None
+    structure: Structure  # Its bonds and masses are used.
+    moving: NDArray[np.bool_]  # (na,) bool: Atoms that may move.
+    terms: NearTerms | None = None  # Of the force field, for its stiffness.
     longest = 0.03
     first = 0.005
     unit = "RMS force {:.4g} kJ/mol/nm"

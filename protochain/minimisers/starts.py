@@ -14,6 +14,7 @@ from protochain.core.arrays import read_only
 from protochain.core.checks import WATCHER, check_arguments, function, integer, number, quantity
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.settings import document_fields
 from protochain.energies import Energy
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import minimise
@@ -31,16 +32,10 @@ _BUDGET = 500
 """Largest number of evaluations of soft repulsion before a start."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Starts:
     """Minima of one method from many starts.
-
-    Parameters
-    ----------
-    chain : Chain
-        Unperturbed.
-    solutions : tuple of Solution
-        One for each start, the first from the unperturbed chain.
 
     Examples
     --------
@@ -48,8 +43,8 @@ class Starts:
     2
     """
 
-    chain: Chain
-    solutions: tuple[Solution, ...]
+    chain: Chain  # Unperturbed.
+    solutions: tuple[Solution, ...]  # One for each start, the first from the unperturbed chain.
 
     @cached_property
     def best(self) -> Solution:

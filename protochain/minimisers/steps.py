@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.settings import document_fields
 from protochain.minimisers.problem import Evaluation, Problem
 
 SMALLEST = 1e-8
@@ -35,17 +36,12 @@ class Rule(Protocol):
         """Step length, next point and state, or None if no step along the direction lowers the energy."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Fixed:
-    """Constant step length, whether the energy falls or rises.
+    """Constant step length, whether the energy falls or rises."""
 
-    Parameters
-    ----------
-    length : float, rad
-        Angle of the largest turn, for a direction whose largest entry is 1.
-    """
-
-    length: float
+    length: float  # rad: Angle of the largest turn, for a direction whose largest entry is 1.
 
     def init(self, at: Evaluation) -> None:
         """No state."""
@@ -57,22 +53,16 @@ class Fixed:
         return self.length, problem.evaluate(problem.move(at.q, self.length * direction)), None
 
 
+@document_fields
 @dataclass(frozen=True)
 class Decaying:
     """Step length ``length / (1 + k / half)`` at step k.
 
     The lengths sum to infinity and their squares do not (Robbins, Monro, Ann. Math. Stat. 22:400, 1951).
-
-    Parameters
-    ----------
-    length : float, rad
-        Initial step length.
-    half : float
-        Number of steps after which the length has halved.
     """
 
-    length: float
-    half: float
+    length: float  # rad: Initial step length.
+    half: float  # Number of steps after which the length has halved.
 
     def init(self, at: Evaluation) -> int:
         """Number of steps so far."""
@@ -86,21 +76,14 @@ class Decaying:
         return length, problem.evaluate(problem.move(at.q, length * direction)), state + 1
 
 
+@document_fields
 @dataclass(frozen=True)
 class AcceptReject:
-    """Lengthen the step if the energy falls, otherwise reject and shorten it.
+    """Lengthen the step if the energy falls, otherwise reject and shorten it."""
 
-    Parameters
-    ----------
-    length : float, rad
-        Initial step length.
-    grow, shrink : float
-        Factors on the length after an accepted and a rejected step.
-    """
-
-    length: float
-    grow: float = 1.2
-    shrink: float = 0.5
+    length: float  # rad: Initial step length.
+    grow: float = 1.2  # Factor on the length after an accepted step.
+    shrink: float = 0.5  # Factor on the length after a rejected step.
 
     def init(self, at: Evaluation) -> float:
         """Initial step length."""
@@ -119,26 +102,18 @@ class AcceptReject:
         return None
 
 
+@document_fields
 @dataclass(frozen=True)
 class Armijo:
     """Backtrack until the energy is sufficiently below the highest of the last few (Armijo).
 
     Armijo, Pacific J. Math. 16:1 (1966), in the nonmonotone form of Grippo, Lampariello, Lucidi, SIAM J.
     Numer. Anal. 23:707 (1986).
-
-    Parameters
-    ----------
-    length : float
-        Initial step length. Each later search begins at twice the last length.
-    window : int
-        Number of past energies for comparison. 1 is monotone.
-    decrease : float
-        Sufficient share of the decrease predicted by the slope.
     """
 
-    length: float
-    window: int = 1
-    decrease: float = 1e-4
+    length: float  # Initial step length. Each later search begins at twice the last length.
+    window: int = 1  # Number of past energies for comparison. 1 is monotone.
+    decrease: float = 1e-4  # Sufficient share of the decrease predicted by the slope.
 
     def init(self, at: Evaluation) -> tuple[float, tuple[float, ...]]:
         """Initial step length and energy."""

@@ -11,6 +11,7 @@ from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.markup import abridge, plural
+from protochain.core.settings import document_fields
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
@@ -52,26 +53,18 @@ OTHER_ISOMER = (Status.INVERTED, Status.ISOMERISED)
 """Statuses of runs whose end is another molecule than their start."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Judgement:
-    """Energy and forces of one set of positions, in double precision.
+    """Energy and forces of one set of positions, in double precision."""
 
-    Parameters
-    ----------
-    energy : float, kJ/mol
-        Of the force field alone.
-    max_torque : float, kJ/mol/rad
-        Over the freedoms of the chain. The force on a free root counts as its moment at 0.1 nm.
-    rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the moving atoms. OpenMM's minimiser uses the RMS of the lengths of
-        the forces, which is sqrt(3) times larger.
-    sizes : mapping of str to float
-        These two, the RMS torque, and the largest force on an atom, by their names in a trace.
-    """
-
-    energy: float
+    energy: float  # kJ/mol: Of the force field alone.
+    # kJ/mol/rad: Over the freedoms of the chain. The force on a free root counts as its moment at 0.1 nm.
     max_torque: float
+    # kJ/mol/nm: Over all Cartesian components of the moving atoms. OpenMM's minimiser uses the RMS of the
+    # lengths of the forces, which is sqrt(3) times larger.
     rms_force: float
+    # These two, the RMS torque, and the largest force on an atom, by their names in a trace.
     sizes: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -17,6 +17,7 @@ from protochain.core.arrays import Value
 from protochain.core.checks import check_arguments
 from protochain.core.checks import words as words_of
 from protochain.core.errors import Argument, ProtochainError, StructureError
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
@@ -50,20 +51,10 @@ _STATES = {
 """Protonation states by the protons present. A bonded cysteine has no state by itself."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Mutation(Value):
     """A mutant and its wild type, with equally rebuilt and relaxed side chains near the site.
-
-    Parameters
-    ----------
-    mutations : tuple of str
-        As ``A:L45F``.
-    wild, mutant : Relaxation
-        Relaxed by the same protocol, with the same moving residues.
-    unfolded : float or None, kJ/mol
-        Change of energy of the same residues in pentapeptides GGXGG. None for bonded cysteines.
-    seconds : float
-        Wall time of all.
 
     Examples
     --------
@@ -71,11 +62,12 @@ class Mutation(Value):
     ('A:A5G',)
     """
 
-    mutations: tuple[str, ...]
-    wild: Relaxation
-    mutant: Relaxation
+    mutations: tuple[str, ...]  # As ``A:L45F``.
+    wild: Relaxation  # Wild type, relaxed by the same protocol, with the same moving residues.
+    mutant: Relaxation  # Mutant.
+    # kJ/mol: Change of energy of the same residues in pentapeptides GGXGG. None for bonded cysteines.
     unfolded: float | None
-    seconds: float
+    seconds: float  # Wall time of all.
 
     @property
     def structure(self) -> Structure:

@@ -4,42 +4,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from protochain.core.settings import document_fields
+
 KCAL_PER_ANGSTROM2 = 418.4
 """kJ/mol/nm^2 in 1 kcal/mol/angstrom^2."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Preset:
-    """Strengths of the springs of a relaxation, and its tolerance.
+    """Strengths of the springs of a relaxation, and its tolerance."""
 
-    Parameters
-    ----------
-    name : str
-        Value of the option that selects it.
-    backbone, side_chains : tuple of float, kJ/mol/nm^2
-        Springs E = k/2 d^2 from heavy atoms to the input, a strength for each stage. Hydrogens have none.
-    tolerance : float, kJ/mol/nm
-        RMS force, springs included, at which each stage ends.
-    source : str
-        Source of the numbers.
-    softened : tuple of (float, float)
-        Soft repulsions that separate overlapping atoms in stages before the force field acts: range, as a
-        share of the contact distance, and stiffness in kJ/mol/nm^2.
-    forcefield, solvent : str
-        Force field and solvent of the protocol. Empty for the values of the settings.
-    planar : bool
-        Whether peptide bonds are restrained to their usual range while springs act.
-    """
-
-    name: str
+    name: str  # Value of the option that selects it.
+    # kJ/mol/nm^2: Springs E = k/2 d^2 from heavy atoms of the backbone to the input, a strength for each
+    # stage. Hydrogens have none.
     backbone: tuple[float, ...]
+    # kJ/mol/nm^2: The same for heavy atoms of side chains.
     side_chains: tuple[float, ...]
-    tolerance: float
-    source: str
+    tolerance: float  # kJ/mol/nm: RMS force, springs included, at which each stage ends.
+    source: str  # Source of the numbers.
+    # Soft repulsions that separate overlapping atoms in stages before the force field acts: range, as a share
+    # of the contact distance, and stiffness in kJ/mol/nm^2.
     softened: tuple[tuple[float, float], ...] = ()
-    forcefield: str = ""
-    solvent: str = ""
-    planar: bool = True
+    forcefield: str = ""  # Force field of the protocol. Empty for the value of the settings.
+    solvent: str = ""  # Solvent of the protocol. Empty for the value of the settings.
+    planar: bool = True  # Whether peptide bonds are restrained to their usual range while springs act.
 
 
 IN_RIGID_PROTEIN = (0.85, 1e3), (0.85, 1e4)

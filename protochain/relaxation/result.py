@@ -14,6 +14,7 @@ from protochain.chains.restraint_list import RestraintValue
 from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.markup import facts, plural
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import RunEnds
@@ -35,52 +36,10 @@ from protochain.validation.ligands import LigandFound, describe_motion, findings
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Relaxation(RunEnds):
     """Result of a relaxation.
-
-    Parameters
-    ----------
-    start : Structure
-        The prepared input.
-    x : (na, 3) float, nm
-        Positions at the end, in the frame of the start.
-    settings : RelaxSettings
-        Settings of the relaxation.
-    energy_function : Energy
-        Force field and solvent, without the springs of the run.
-    rounds : tuple of Round
-        Minimisations in their order.
-    best : int
-        Index of the round whose end is the result: the round with the fewest residues with problems.
-    status : Status
-        Status by the judge, ``violations`` if the run converged and some remain.
-    message : str
-        Status, remaining problems, and the residual, as text.
-    energy_start, energy_end : float, kJ/mol
-        Energies of the force field alone, without springs, by the judge.
-    rms_force : float, kJ/mol/nm
-        At the end, springs included, by the judge.
-    judge : str
-        Energy that computed them.
-    frame : Frame
-        Frame of reference of the run.
-    seconds : float
-        Wall time of all rounds, without preparation and measures.
-    trace : (n, 5) float
-        A row for each iteration, with columns ``TRACE_COLUMNS``. Energies are without springs.
-    turned : tuple of Repair
-        Side chains with new rotamers before the first round.
-    restraints : two float or None, kJ/mol
-        Energies of springs and restraints at start and end, not part of other energies. None without any.
-    restraint_values : tuple of RestraintValue
-        Values and violations of the user's restraints at the end.
-    timings : mapping of str to float, s
-        Wall time by part, as of :class:`protochain.Solution`.
-    move : str
-        Selection of the moving atoms.
-    moving : (na,) bool, optional
-        Atoms that may move. All others stay in place, bit for bit.
 
     Examples
     --------
@@ -89,26 +48,32 @@ class Relaxation(RunEnds):
     ('converged', True)
     """
 
-    start: Structure
-    x: Floats
-    settings: RelaxSettings
-    energy_function: Energy
-    rounds: tuple[Round, ...]
-    best: int
-    status: Status
-    message: str
-    energy_start: float
-    energy_end: float
-    rms_force: float
-    judge: str
-    frame: Frame
-    seconds: float
+    start: Structure  # The prepared input.
+    x: Floats  # (na, 3) float, nm: Positions at the end, in the frame of the start.
+    settings: RelaxSettings  # Settings of the relaxation.
+    energy_function: Energy  # Force field and solvent, without the springs of the run.
+    rounds: tuple[Round, ...]  # Minimisations in their order.
+    best: int  # Index of the round whose end is the result: the round with the fewest residues with problems.
+    status: Status  # Status by the judge, ``violations`` if the run converged and some remain.
+    message: str  # Status, remaining problems, and the residual, as text.
+    energy_start: float  # kJ/mol: Energy of the force field alone, without springs, by the judge.
+    energy_end: float  # kJ/mol: The same at the end.
+    rms_force: float  # kJ/mol/nm: At the end, springs included, by the judge.
+    judge: str  # Energy that computed them.
+    frame: Frame  # Frame of reference of the run.
+    seconds: float  # Wall time of all rounds, without preparation and measures.
+    # (n, 5) float: A row for each iteration, with columns ``TRACE_COLUMNS``. Energies are without springs.
     trace: Floats
-    turned: tuple[Repair, ...] = ()
+    turned: tuple[Repair, ...] = ()  # Side chains with new rotamers before the first round.
+    # kJ/mol: Energies of springs and restraints at start and end, not part of other energies. None without
+    # any.
     restraints: tuple[float, float] | None = None
+    # Values and violations of the user's restraints at the end.
     restraint_values: tuple[RestraintValue, ...] = ()
+    # s: Wall time by part, as of :class:`protochain.Solution`.
     timings: Mapping[str, float | None] = field(default_factory=dict)
-    move: str = defaults.MOVE
+    move: str = defaults.MOVE  # Selection of the moving atoms.
+    # (na,) bool, optional: Atoms that may move. All others stay in place, bit for bit.
     moving: NDArray[np.bool_] | None = None
 
     @cached_property

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from protochain.chains.contacts import near_pairs, overlapping
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
+from protochain.core.settings import document_fields
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
@@ -53,30 +54,17 @@ Note = Callable[[Stage, Evaluation, int], None]
 """Called with each accepted point: its stage, the point, evaluations so far."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Round:
-    """One minimisation.
+    """One minimisation."""
 
-    Parameters
-    ----------
-    released : int
-        Residues whose springs were weakened or removed.
-    violations : int
-        Residues with violations at its end.
-    overlaps : int
-        Pairs of atoms that overlap at its end.
-    iterations, evaluations : int
-        Steps, and energies computed.
-    seconds : float
-        Wall time.
-    """
-
-    released: int
-    violations: int
-    overlaps: int
-    iterations: int
-    evaluations: int
-    seconds: float
+    released: int  # Residues whose springs were weakened or removed.
+    violations: int  # Residues with violations at its end.
+    overlaps: int  # Pairs of atoms that overlap at its end.
+    iterations: int  # Steps.
+    evaluations: int  # Energies computed.
+    seconds: float  # Wall time.
 
 
 @dataclass(frozen=True, eq=False)

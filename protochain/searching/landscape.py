@@ -13,6 +13,7 @@ from protochain.chains.chain import Chain, pose
 from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import Argument, ProtochainError
+from protochain.core.settings import document_fields
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     HybridMonteCarlo,
@@ -63,25 +64,17 @@ class Sweep(NamedTuple):
     n_evaluations: int
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Landscape(Value):
     """Energy of one chain over its torsions, with a fixed root.
 
     The root may be fixed: the energy does not depend on position, nor with Fixman's potential on mass.
-
-    Parameters
-    ----------
-    chain : Chain
-        Chain whose only coordinates are its torsions.
-    energy : Energy
-        Energy with all terms.
-    restraints : Restraints, optional
-        Added to the energy.
     """
 
-    chain: Chain
-    energy: Energy
-    restraints: Restraints | None = None
+    chain: Chain  # Chain whose only coordinates are its torsions.
+    energy: Energy  # Energy with all terms.
+    restraints: Restraints | None = None  # Added to the energy.
 
     @classmethod
     def of(cls, chain: Chain, energy: Energy, restraints: Any = ()) -> Landscape:

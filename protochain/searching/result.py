@@ -15,6 +15,7 @@ from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import integer
 from protochain.core.errors import refusal
+from protochain.core.settings import document_fields
 from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
@@ -38,24 +39,10 @@ N_NAMED = 12
 """Number of most frequent conformers in tables."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Search(Value):
     """Minima of a search, and samples of its replicas.
-
-    Parameters
-    ----------
-    landscape : Landscape
-        Chain, with a fixed root, and energy.
-    settings : SearchSettings
-        Settings of the search.
-    states : tuple of State or None
-        State of each walk.
-    findings : tuple of Finding
-        Findings of each walk.
-    seconds : float
-        Wall time of this run.
-    interrupted : bool
-        Whether the run was stopped before evaluations or time were spent.
 
     Examples
     --------
@@ -64,12 +51,12 @@ class Search(Value):
     103
     """
 
-    landscape: Landscape
-    settings: SearchSettings
-    states: tuple[Any, ...]
-    findings: tuple[Finding, ...]
-    seconds: float
-    interrupted: bool
+    landscape: Landscape  # Chain, with a fixed root, and energy.
+    settings: SearchSettings  # Settings of the search.
+    states: tuple[Any, ...]  # State of each walk.
+    findings: tuple[Finding, ...]  # Findings of each walk.
+    seconds: float  # Wall time of this run.
+    interrupted: bool  # Whether the run was stopped before evaluations or time were spent.
 
     @property
     def chain(self) -> Any:

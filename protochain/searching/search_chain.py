@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.checks import at_least, check_arguments, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.settings import document_settings, settings_from
+from protochain.core.settings import document_fields, document_settings, settings_from
 from protochain.core.storage import check_writable, claim_folder
 from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
@@ -45,29 +45,16 @@ _LONG = 600.0
 """s. Time limit of a piece, whose single steps may be long."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class SearchProgress:
-    """Progress of a search.
+    """Progress of a search."""
 
-    Parameters
-    ----------
-    evaluations : int
-        Evaluations of all walkers so far.
-    budget : float
-        Total evaluations, infinite if only the time is limited.
-    share : float
-        Spent share of the evaluations or of the time, whichever is larger.
-    lowest : float, kJ/mol
-        Lowest energy so far.
-    acceptance : float
-        Mean acceptance over walkers.
-    """
-
-    evaluations: int
-    budget: float
-    share: float
-    lowest: float
-    acceptance: float
+    evaluations: int  # Evaluations of all walkers so far.
+    budget: float  # Total evaluations, infinite if only the time is limited.
+    share: float  # Spent share of the evaluations or of the time, whichever is larger.
+    lowest: float  # kJ/mol: Lowest energy so far.
+    acceptance: float  # Mean acceptance over walkers.
 
 
 @document_settings(SearchSettings, SearchRunSettings)

@@ -1,7 +1,7 @@
 """Settings are described once, and docstrings have what they say."""
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import pytest
 from numpydoc.docscrape import FunctionDoc
@@ -9,7 +9,7 @@ from numpydoc.docscrape import FunctionDoc
 import protochain as pc
 from protochain.batches import BatchSettings
 from protochain.core.checks import check_arguments, number, text
-from protochain.core.settings import Settings, document_settings, setting, settings_of
+from protochain.core.settings import Settings, document_fields, document_settings, setting, settings_of
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
@@ -48,6 +48,48 @@ def test_entries_follow_the_signature_and_an_entry_of_the_docstring_itself_stays
     }  # fmt: skip
     assert [*read] == [("source", "last"), ("speed",), ("heat",), ("kind",)]
     assert FunctionDoc(heat_up)["Returns"][0].type == "None"
+
+
+@document_fields
+@dataclass(frozen=True)
+class Spring:
+    """A spring of a test.
+
+    Examples
+    --------
+    >>> Spring
+    """
+
+    # kJ/mol/nm^2: Constant k, for E = k/2 (x - x0)^2: the energy.
+    stiffness: float
+    rest: "float" = 0.0  # (n,) float, nm: Distances x0.
+    name: str | None = None  # Name, as ``a: b``.
+    atoms: tuple[int, ...] = field(default=(1,))  # Two
+    count = 3  # Not a field.
+
+    def stretch(self) -> None:
+        count: int = 1  # Not a field either.
+        assert count
+
+
+@document_fields
+@dataclass(frozen=True)
+class Rod(Spring):
+    """A rod."""
+
+    rest: float = 1.0  # nm: Its length.
+
+
+def test_comments_of_fields_are_the_parameters_of_a_class():
+    read = {each.name: (each.type, " ".join(each.desc)) for each in FunctionDoc(Spring)["Parameters"]}
+    assert read == {
+        "stiffness": ("float, kJ/mol/nm^2", "Constant k, for E = k/2 (x - x0)^2: the energy."),
+        "rest": ("(n,) float, nm", "Distances x0."), "name": ("str, optional", "Name, as ``a: b``."),
+        "atoms": ("tuple[int, ...]", "Two"),
+    }  # fmt: skip
+    assert FunctionDoc(Spring)["Examples"] == [">>> Spring"]
+    rod = {each.name: " ".join(each.desc) for each in FunctionDoc(Rod)["Parameters"]}
+    assert rod == {name: text for name, (_, text) in read.items()} | {"rest": "Its length."}
 
 
 @pytest.mark.parametrize(
