@@ -12,7 +12,7 @@ import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -65,11 +65,7 @@ class Frames:
 
     def without_first(self, n: int) -> "Frames":
         """Skip the first n selected frames."""
-        return self._with(self.chosen[n:])
-
-    def _with(self, chosen: Sequence[int]) -> "Frames":
-        fields = {name: value for name, value in vars(self).items() if name != "chosen"}
-        return Frames(**fields, chosen=chosen)
+        return replace(self, chosen=self.chosen[n:])
 
     def select(self, spec: Any) -> "Frames":
         """Select frames by ``all``, a number, ``START:STOP:STEP`` as in Python, or a list of these."""
@@ -81,7 +77,7 @@ class Frames:
                 f"{self.source}: frames {spec}: none of its {self.count} frames; give others"
             )
         chosen: Sequence[int] = ranges[0] if len(ranges) == 1 else [k for indices in ranges for k in indices]
-        return self._with(chosen)
+        return replace(self, chosen=chosen)
 
 
 class Reading:
@@ -239,26 +235,18 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
     """Return offsets of frames, errors of frames that would crash the library, and the number of atoms."""
     with path.open("rb") as raw, _reading_errors(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
         size, begins, damaged = len(data), list[int](), dict[int, str]()
-        first = bytes(data[: kind.head])
-        head = first[: kind.same]
-        if len(head) < kind.same or len(first) < kind.atoms + 4 or not head.startswith(kind.magic):
+        head, at = data[: kind.same], 0
+        if size < kind.atoms + 4 or not head.startswith(kind.magic):
             raise StructureError(f"{path}: is no {kind.name} file; give a trajectory")
-        (n_atoms,) = struct.unpack(">i", first[kind.atoms : kind.atoms + 4])
-        at = 0
+        (n_atoms,) = struct.unpack(">i", data[kind.atoms : kind.atoms + 4])
         while at < size:
             begins.append(at)
-            end = kind.end(bytes(data[at : at + kind.head]), n_atoms)
-            if not end:
-                damaged[len(begins) - 1] = "it is damaged"
-            elif at + end > size:
-                damaged[len(begins) - 1] = "the file ends within it"
-            after = at + end
-            if not end or after > size or (after < size and bytes(data[after : after + kind.same]) != head):
+            after = at + kind.end(data[at : at + kind.head], n_atoms)
+            if not (at < after <= size and data[after : after + kind.same] in (b"", head)):
+                damaged[len(begins) - 1] = "the file ends within it" if after > size else "it is damaged"
                 # Search for the next frame.
-                if end > 0 and after < size:
-                    damaged[len(begins) - 1] = "it is damaged"
-                after = data.find(head, at + 8)
-                after = size if after < 0 else after
+                following = data.find(head, at + 8)
+                after = size if following < 0 else following
             at = after
     return np.array(begins, dtype=np.int64), damaged, n_atoms
 
@@ -310,15 +298,10 @@ def _trr_end(head: bytes, n_atoms: int) -> int:
     if len(head) < _TRR_HEAD:
         return 0
     ir, e, box, virial, pressure, top, sym, x, v, f, n, *_ = struct.unpack(">13i", head[24:76])
-    for real in (4, 8):
-        three = {0, 3 * n_atoms * real}
-        if (
-            n == n_atoms
-            and {box, virial, pressure} <= {0, 9 * real}
-            and {x, v, f} <= three
-            and box + x + v + f
-        ):
-            return 0 if ir or e or top or sym else 76 + 2 * real + box + virial + pressure + x + v + f
+    if n == n_atoms and box + x + v + f and not (ir or e or top or sym):
+        for real in (4, 8):
+            if {box, virial, pressure} <= {0, 9 * real} and {x, v, f} <= {0, 3 * n_atoms * real}:
+                return 76 + 2 * real + box + virial + pressure + x + v + f
     return 0
 
 
