@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats, Integers, dihedral
 from protochain.core.compilation import njit
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.relaxation.rotamers import Rotamers
-from protochain.structure.sidechains.conflicts import Pairs, sphere, touching
+from protochain.structure.sidechains.reduction import Pairs, sphere, touching
 
 _TWIST = 0.5
 """Weight of the torsions, which the frequencies of rotamers contain too."""

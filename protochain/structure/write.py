@@ -27,15 +27,19 @@ from protochain.ligands.tables import ORDERS, heavy_rows, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.formats.records import (
+    SPRINGS,
     Rows,
+    Spring,
     cif_rows,
     orders,
     pdb_lines,
     put,
+    spring_remarks,
+    spring_rows,
+    springs_of,
     with_component,
     with_names,
 )
-from protochain.structure.formats.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
 from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, update_entities, with_header
 from protochain.structure.molecule.links import is_metal
 from protochain.structure.molecule.member import address_of
@@ -387,7 +391,7 @@ def _mmcif(
     chemistry = _chemistry(models[0])
     about = cif_rows(models[0].header, out, _label_map(models[0], out), chemistry)
     put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
-    put(block, {CATEGORY: as_rows(_springs(models))})
+    put(block, {SPRINGS: spring_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
         for i, line in enumerate(lines, 1):
@@ -414,7 +418,7 @@ def _pdb(
             for text in (*remarks, *repairs)
             for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
         ),
-        *as_remarks(_springs(models)),
+        *spring_remarks(_springs(models)),
     ]
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     order = orders(models[0].header, chemistry)
@@ -542,7 +546,7 @@ def _ends(row: Mapping[str, str]) -> frozenset[str]:
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:
     """Springs of all models, or none if they differ."""
-    first, *later = (of_structure(model) for model in models)
+    first, *later = (springs_of(model) for model in models)
     return first if all(springs == first for springs in later) else []
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protochain.core.graph import beyond, bond_angles, both_ways, components, neighbours, pairs_within, within
-from protochain.structure.sidechains.conflicts import neighbour_tables, touching
+from protochain.structure.sidechains.reduction import neighbour_tables, touching
 
 SQUARE = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [3, 4], [5, 6]])
 """A ring of four with a tail, and a pair."""

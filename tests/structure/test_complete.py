@@ -12,7 +12,7 @@ from protochain.structure.preparation import complete as module
 from protochain.structure.preparation.complete import add_heavy_atoms
 from protochain.structure.preparation.prepare import run
 from protochain.structure.preparation.structure_draft import Draft, Evidence, Part
-from protochain.structure.sidechains.sites import Site
+from protochain.structure.sidechains.ideal import Site
 
 
 def member(name, number, *atoms, x=0.0):

@@ -24,6 +24,7 @@ from protochain.structure.preparation.prepare import read
 from protochain.structure.sidechains import arms, packing
 from protochain.structure.sidechains.arms import wrap_angle
 from protochain.structure.sidechains.ideal import (
+    Site,
     beta_carbon,
     bridge_gaps,
     build_atoms,
@@ -36,7 +37,6 @@ from protochain.structure.sidechains.ideal import (
 from protochain.structure.sidechains.packing import Choices, candidate_conformers, pack
 from protochain.structure.sidechains.packing_energies import Kinds, rarity, table
 from protochain.structure.sidechains.rotamers import rotamers
-from protochain.structure.sidechains.sites import Site
 
 NAMES = tuple(residues.STANDARD)
 ORIGIN = np.zeros(3)

@@ -1,26 +1,42 @@
-"""Metadata of a file that gemmi does not copy: authors, terms of use, confidence, components.
+"""Metadata of a file that gemmi does not copy: authors, terms of use, confidence, components, springs.
 
 The header of a structure is mmCIF text with these categories. PDB records are converted to the equivalent
-categories. Rows about residues and molecules that are absent from the structure are skipped.
+categories. Rows about residues and molecules that are absent from the structure are skipped. Springs between
+the protein and hetero molecules are restored from the rows, or from remarks of a PDB file.
 """
 
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from math import isfinite
 
 import gemmi
+import numpy as np
 
+from protochain.core.graph import components
 from protochain.ligands import tables
-from protochain.structure.formats.tie_records import CATEGORY, of_remarks
 from protochain.structure.molecule.header import Label
+from protochain.structure.molecule.member import Address
+from protochain.structure.molecule.model import Structure
 
 Rows = list[dict[str, str]]
 """Rows of a category. Values are raw, with quotes."""
+Spring = tuple[tuple[Address, ...], float, float]
+"""Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2). One atom alone marks a fixed molecule."""
+
+SPRINGS = "_protochain_tie."
+_SPRING_REMARK = "REMARK 980"
+"""Remark number that the PDB does not use."""
+_SPRING_ENDS = ("auth_asym_id_{}", "auth_seq_id_{}", "PDB_ins_code_{}", "auth_atom_id_{}")
+DIGITS = 9
+"""Decimals of nm and rad in a remark. All springs are rounded to them, so that reading restores them."""
+_START, _WIDTH = 11, 12
+"""Columns of a remark: chain, residue number, insertion code and name of three atoms, rest, stiffness."""
 
 _MODIFIED = "_pdbx_struct_mod_residue."
 """Modified residues, which gemmi transfers as ``Structure.mod_residues``."""
 _CATEGORIES = (
     "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
-    "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
+    "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", SPRINGS,
     tables.CATEGORY,
 )  # fmt: skip
 _MODEL_CATEGORIES = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
@@ -89,7 +105,7 @@ def pdb_header(text: str, structure: gemmi.Structure) -> str:
             if remarks
             else [],
             **_journal(lines.get("JRNL", ())),
-            CATEGORY: of_remarks(lines.get("REMARK", ())),
+            SPRINGS: spring_rows(_springs_of_remarks(lines.get("REMARK", ()))),
             "_ma_qa_metric.": _PLDDT if "PARENT" in lines and "PFRMAT" not in lines else [],
         }
     )
@@ -104,7 +120,7 @@ def cif_rows(
     categories = _merge(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
     result = {}
     for category, entries in categories.items():
-        if category not in (CATEGORY, _MODIFIED):
+        if category not in (SPRINGS, _MODIFIED):
             rows = [new_row for row in entries if (new_row := renamer.rename_row(category, row))]
             if rows:
                 result[category] = [*{tuple(row.items()): row for row in rows}.values()]  # Each once.
@@ -376,3 +392,85 @@ def _plain(value: str) -> str:
 
 def _has_value(row: Mapping[str, str], item: str) -> bool:
     return row.get(item, "?") not in _NO_VALUE
+
+
+def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
+    """Return rest and stiffness of the springs in a file, by their atoms."""
+    block = gemmi.cif.read_string(records).sole_block() if SPRINGS in records else gemmi.cif.Block("")
+    constants: dict[tuple[Address, ...], tuple[float, float]] = {}
+    for raw in _rows(block, SPRINGS):
+        row = {item: _plain(value) for item, value in raw.items()}
+        ends = [[row.get(item.format(k), "") for item in _SPRING_ENDS] for k in (1, 2, 3)]
+        atoms = tuple((chain, number + code, name) for chain, number, code, name in ends if name)
+        r0, stiffness = (_number(row.get(item, "")) for item in ("rest", "stiffness"))
+        if atoms and isfinite(r0) and isfinite(stiffness) and r0 >= 0.0 and stiffness >= 0.0:
+            constants[atoms] = (r0, stiffness)
+    return constants
+
+
+def springs_of(structure: Structure) -> list[Spring]:
+    """Return springs, and one atom of each fixed or free hetero molecule except waters and glycosides."""
+    residue = structure.atom_residue
+
+    def address(atom: int) -> Address:
+        place = structure.residue(int(residue[atom]))
+        return place.chain, place.number, str(structure.atom_name[atom])
+
+    records: list[Spring] = [
+        (tuple(address(atom) for atom in tie.atoms), tie.rest, tie.stiffness) for tie in structure.ties
+    ]
+    restrained = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
+    waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
+    molecule = components(structure.bonds[~structure.coordination], structure.n_atoms)
+    glycosides = structure.mobile & np.isin(molecule, molecule[~structure.kept])
+    is_candidate = structure.kept & (structure.atom_element != "H") & ~glycosides
+    residues, first = np.unique(residue[is_candidate], return_index=True)
+    for r, k in zip(residues.tolist(), np.flatnonzero(is_candidate)[first].tolist(), strict=True):
+        if r not in waters and (structure.obstacle[k] or r not in restrained):
+            records.append(((address(k),), 0.0, 0.0))
+    return records
+
+
+def spring_rows(records: Iterable[Spring]) -> Rows:
+    """Return springs as rows of the mmCIF category."""
+    items = [item.format(k) for k in (1, 2, 3) for item in _SPRING_ENDS]
+    rows = []
+    for n, (atoms, r0, stiffness) in enumerate(records, 1):
+        row = {"ordinal": f"{n}", **dict.fromkeys(items, ".")}
+        cells = [_quote(cell) for chain, number, name in atoms for cell in (chain, *_split(number), name)]
+        row |= dict(zip(items, cells, strict=False))
+        rows.append(row | {"rest": repr(r0), "stiffness": repr(stiffness)})
+    return rows
+
+
+def spring_remarks(records: Iterable[Spring]) -> list[str]:
+    """Return springs as remarks of a PDB file."""
+    remarks = []
+    for atoms, r0, stiffness in records:
+        cells = ""
+        for chain, place, name in atoms:
+            number, code = _split(place)
+            cells += f"{chain:1}{number:>4}{code:1} {name:<4} "
+        remarks.append(f"{_SPRING_REMARK} {cells.ljust(3 * _WIDTH)}{r0:12.{DIGITS}f}{stiffness:11.1f}")
+    return remarks
+
+
+def _springs_of_remarks(lines: Iterable[str]) -> Iterator[Spring]:
+    for line in lines:
+        if line.startswith(_SPRING_REMARK):
+            cells = [line[_START + k * _WIDTH : _START + (k + 1) * _WIDTH] for k in range(3)]
+            atoms = tuple(
+                (cell[:1].strip(), cell[1:6].strip(), cell[7:11].strip()) for cell in cells if cell.strip()
+            )
+            r0, _, stiffness = line[_START + 3 * _WIDTH :].strip().partition(" ")
+            yield atoms, _number(r0), _number(stiffness)
+
+
+def _number(text: str) -> float:
+    return float(gemmi.cif.as_number(text.strip() or "?", float("nan")))
+
+
+def _split(number: str) -> tuple[str, str]:
+    """Return a residue number and its insertion code."""
+    code = number[-1:] if number[-1:].isalpha() else ""
+    return number.removesuffix(code), code

@@ -13,8 +13,7 @@ from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import AtomRename, Kind, Reason, Repair
 from protochain.structure.molecule.templates import Template, rename
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part, losses
-from protochain.structure.sidechains.ideal import Places, bridge_gaps, ideal, place_points, unit
-from protochain.structure.sidechains.sites import Site
+from protochain.structure.sidechains.ideal import Places, Site, bridge_gaps, ideal, place_points, unit
 
 _TERMINAL_OXYGENS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
 """Terminal oxygens: bonded atom, its other neighbours, and bond length (angstrom) in ff14SB and OL15."""

@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import NO_BONDS
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import neighbours
-from protochain.structure.formats.tie_records import DIGITS
+from protochain.structure.formats.records import DIGITS
 from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.model import Tie

@@ -14,8 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.sidechains.conflicts import neighbour_tables
-from protochain.structure.sidechains.reduction import ROUND_OFF, Part, eliminate_dead_ends, raise_bound
+from protochain.structure.sidechains.reduction import (
+    ROUND_OFF,
+    Part,
+    eliminate_dead_ends,
+    neighbour_tables,
+    raise_bound,
+)
 
 _LARGEST = 1_000_000
 """Largest number of entries of a table in the elimination of sites. Larger components are branched."""

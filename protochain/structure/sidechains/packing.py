@@ -19,10 +19,9 @@ from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member
 from protochain.structure.sidechains.arms import WIDTH, dihedral_grid, wrap_angle
 from protochain.structure.sidechains.assignment import Assignment, assign_states
-from protochain.structure.sidechains.conflicts import touching
-from protochain.structure.sidechains.ideal import Places, build_atoms, conformers, fixed_chi, ideal
+from protochain.structure.sidechains.ideal import Places, Site, build_atoms, conformers, fixed_chi, ideal
 from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
-from protochain.structure.sidechains.sites import Site
+from protochain.structure.sidechains.reduction import touching
 
 _EXCLUDED_BONDS = 3
 """Bonds. Atoms at most so many bonds apart do not interact."""

@@ -4,20 +4,48 @@ Goldstein's dead-end elimination: Biophys. J. 66:1335 (1994). Bounds by message 
 NIPS 2007 (energies move between tables, and no sum of them changes).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.compilation import njit
-from protochain.structure.sidechains.conflicts import Pairs, neighbour_tables
+from protochain.core.graph import components, group_members
 
 ROUND_OFF = 1e-9
 """kJ/mol. Round-off of energies. A smaller spread counts as zero."""
 _ROUNDS = 30
 """Largest number of rounds of message passing. They end when the bound hardly rises."""
 _RISE = 1e-3
+
+Pairs = dict[tuple[int, int], Floats]
+"""Tables (n_i, n_j) of sites i < j that interact."""
+
+
+def touching(places: Sequence[Floats], reach: float) -> list[tuple[int, int]]:
+    """Pairs i < j of sites whose conformers, at positions (n, k, 3) each, come as near as a reach."""
+    if len(places) < 2:
+        return []
+    centres, sizes = zip(*map(sphere, places), strict=True)
+    near = sorted(KDTree(np.array(centres)).query_pairs(2 * max(sizes) + reach))
+    return [(i, j) for i, j in near if np.linalg.norm(centres[i] - centres[j]) < sizes[i] + sizes[j] + reach]
+
+
+def sphere(x: Floats) -> tuple[Floats, float]:
+    """Centre and radius of all positions (n, k, 3)."""
+    centre = x.reshape(-1, 3).mean(axis=0)
+    return centre, float(np.linalg.norm(x - centre, axis=-1).max())
+
+
+def neighbour_tables(pairs: Mapping[tuple[int, int], Floats], n: int) -> list[list[tuple[int, Floats]]]:
+    """Return the partners and tables of each of n sites, with the states of that site in the rows."""
+    tables: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
+    for (i, j), table in pairs.items():
+        tables[i].append((j, table))
+        tables[j].append((i, table.T))
+    return tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +104,8 @@ class Part:
 
     def components(self) -> list[list[int]]:
         """Places of the sites of each connected component."""
-        group = list(range(len(self.sites)))
-        for i, j in self.pairs:
-            group = [group[i] if label == group[j] else label for label in group]
-        return [[k for k, label in enumerate(group) if label == one] for one in dict.fromkeys(group)]
+        pairs = np.array([*self.pairs], dtype=np.int64).reshape(-1, 2)
+        return [members.tolist() for members in group_members(components(pairs, len(self.sites)))]
 
 
 def eliminate_dead_ends(part: Part) -> list[np.ndarray]:
