@@ -82,7 +82,7 @@ def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> 
             )  # fmt: skip
     left.set(xlabel="C-alpha RMSD to the lowest, angstrom", ylabel="energy above the lowest, kJ/mol")
     left.legend(title="cluster", fontsize=8)
-    runs = {f"walk {number}": walk for number, walk in enumerate(walks, 1)}
+    runs = {f"walker {number}": walk for number, walk in enumerate(walks)}
     for (name, walk), look in zip(runs.items(), looks(runs).values(), strict=True):
         lowest_so_far = np.minimum.accumulate(walk[:, 1]) - lowest
         right.step(walk[:, 0], lowest_so_far, where="post", **look.line(name))

@@ -108,10 +108,13 @@ class Search(Value):
 
     @property
     def agreement(self) -> str:
-        """How many walks reached the lowest minimum, with a warning if only one did."""
+        """How many walks reached the lowest minimum, with a warning if only one did or populations are missing."""
         n, total = self.n_walks_at_lowest, len(self.findings)
         text = f"{n} of {total} walks reached it" if total > 1 else "one walk, not confirmed by another"
-        return text if n > 1 else f"{text}: continue it with more evaluations before you rely on it"
+        text = text if n > 1 else f"{text}: continue it with more evaluations before you rely on it"
+        if self.settings.method == "tempering" and not self._sampling:
+            text += "; no populations, as too few rounds followed the pilot: continue it"
+        return text
 
     def structure(self, number: int = 1) -> Structure:
         """Structure of a minimum, numbered from 1, superposed on the lowest."""

@@ -272,6 +272,7 @@ def test_a_folder_has_tables_structures_and_a_page(whole, tmp_path):
     minima = pd.read_csv(tmp_path / "minima.csv")
     assert minima["energy_kj_mol"].to_numpy() == pytest.approx(found.energies[: len(minima)])
     assert minima.loc[0, "free_energy_kj_mol"] == 0.0 and minima["cluster"].min() == 1
+    assert "no populations" not in found.agreement
     populations = pd.read_csv(tmp_path / "populations.csv")
     assert populations["temperature_k"].tolist() == [300.0, 600.0]
     assert np.all(np.diff(populations["energy_kj_mol"]) > 0.0)
@@ -285,6 +286,14 @@ def test_a_folder_has_tables_structures_and_a_page(whole, tmp_path):
     end = pc.load(tmp_path / "minima" / "minimum-001.pdb")
     assert pc.ca_rmsd(end, end.positions, found.structure(1).positions) < 0.01
     assert repr(found).startswith("<Search of AAA by tempering")
+
+
+def test_a_search_that_ends_after_its_pilot_reports_missing_populations(peptide, tmp_path):
+    found = pc.search(*peptide, "tempering", 900, n_replicas=2, pilot=20, **SMALL)
+    assert "no populations" in found.agreement
+    found.save(tmp_path)
+    assert not (tmp_path / "populations.csv").exists()
+    assert "no populations" in (tmp_path / "report.html").read_text()
 
 
 REFUSED = {
