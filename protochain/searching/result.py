@@ -108,7 +108,7 @@ class Search(Value):
 
     @property
     def agreement(self) -> str:
-        """How many walks reached the lowest minimum, with a warning if only one did or populations are missing."""
+        """How many walks reached the lowest minimum, with remarks on one walk and on missing populations."""
         n, total = self.n_walks_at_lowest, len(self.findings)
         text = f"{n} of {total} walks reached it" if total > 1 else "one walk, not confirmed by another"
         text = text if n > 1 else f"{text}: continue it with more evaluations before you rely on it"
