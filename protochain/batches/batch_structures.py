@@ -7,7 +7,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from protochain.batches.batch_settings import store_settings
 from protochain.batches.cluster import Processes, Submitted, Workers, open_workers
@@ -19,14 +19,12 @@ from protochain.core import defaults
 from protochain.core.checks import check_arguments, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.results.provenance import of_run
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _AHEAD = 4
 """Submitted jobs for each worker, so that no worker waits."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -13,6 +13,7 @@ from protochain.chains.setup import Setup
 from protochain.core.arrays import Floats, Integers, Value, dihedral, read_only
 from protochain.core.checks import check_arguments, in_range, number, one_of, optional, selection
 from protochain.core.errors import ProtochainError
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers.solution import alpha_residues
@@ -20,9 +21,6 @@ from protochain.structure import Structure
 from protochain.structure.molecule.dihedrals import dihedral_finder
 from protochain.structure.select import select as chosen
 from protochain.structure.superpose import superpose
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 WITHIN = {"rmsd": 2.0, "torsions": 30.0}
 """angstrom, degrees. Default average distance between the members of a cluster."""
@@ -96,8 +94,6 @@ def cluster_frames(
     >>> pc.cluster_frames(s, np.array([s.positions, s.positions])).table["cluster"].tolist()
     [1, 1]
     """
-    import pandas as pd
-
     setup = Setup(**settings)
     ensemble, frames_read = ensemble_of(top, frames, select, setup)
     if not 0 < len(frames_read) <= _MOST:

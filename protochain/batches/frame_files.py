@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
@@ -18,6 +18,7 @@ from protochain.batches.table import read_table
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.core.storage import check_writable, claimed_files, writing
 from protochain.results.run_folder import GrowingTable, checkpoint_of, refuse_earlier, refuse_existing, saving
 from protochain.structure.ensemble import Ensemble
@@ -25,9 +26,6 @@ from protochain.structure.formats.files import format_of
 from protochain.structure.formats.frames import Frames, open_frames
 from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory, part_of
 from protochain.structure.write import common_suffix, save
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _KEEP_EVERY = 10.0
 """s between checkpoints. Frames after the last checkpoint are computed again."""

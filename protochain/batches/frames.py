@@ -4,13 +4,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from protochain.batches.cluster import Processes, Submitted, open_workers, shared_file
 from protochain.batches.frame_tasks import EnergyFrames, FrameJob, FrameRow, RelaxFrames, Task, row_of
 from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, check_arguments, optional, text
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.energies import Energy, as_energy
 from protochain.energies.energy_cache import cached_energy
@@ -20,9 +21,6 @@ from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Frames, open_frames
 from protochain.structure.select import move_argument
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _AHEAD = 3
 """Submitted jobs for each worker, so that no worker waits."""
@@ -152,8 +150,6 @@ def frame_energies(
     >>> bool(np.isclose(table["energy_kj_mol"][1], pc.energy(s)(s.positions)[0]))
     True
     """
-    import pandas as pd
-
     setup = Setup(**settings)
     ensemble, chosen = ensemble_of(top, frames, select, setup)
     frame_energy = None

@@ -14,6 +14,7 @@ from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.checks import at_least, check_arguments, optional, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.core.storage import write_atomically
 from protochain.energies.decomposed import residues_of
 from protochain.relaxation.mutations import COLUMNS, mutate_at, mutation_label, protocol
@@ -25,7 +26,6 @@ from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import LETTERS
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 ALL = "all"
@@ -131,8 +131,6 @@ def scan_mutations(
     >>> pc.scan_mutations("structures/1l2y.pdb", "A:7-8", solvent="vacuum")["mutations"].tolist()
     ['A:L7A', 'A:K8A']
     """
-    import pandas as pd
-
     relaxing, setup = protocol(options, source)
     structure = setup.load(source)
     processes = Processes(workers, threads=setup.threads or 1) if workers else None
@@ -161,8 +159,6 @@ def run_scan(
     processes: Processes, resume: bool, watch: Callable[[int, int], None],
 ) -> tuple["pd.DataFrame", bool]:  # fmt: skip
     """Write a table of mutants as they finish, or resume one. Return it, and whether it was interrupted."""
-    import pandas as pd
-
     jobs, checkpoint_file = sites_of(structure, sites, into), checkpoint_of(table)
     plain = {
         name: str(value) for name, value in {**vars(setup), **vars(relaxing)}.items() if name != "threads"

@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from protochain.batches.jobs import Job, Row
+from protochain.core.lazy_pandas import pd
 from protochain.core.palette import looks
 from protochain.core.storage import write_text
 from protochain.minimisers.record import SHORT_COLUMNS, short_columns
@@ -20,9 +21,6 @@ from protochain.results.viewer import DISPLACEMENT, library, scene
 from protochain.structure import Structure
 from protochain.structure.molecule.repairs import Repair
 from protochain.structure.preparation.losses import loss_lines
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SHOWN_RELAXED = tuple(
     Column(key, itemgetter(key), heading)

@@ -3,20 +3,18 @@
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from protochain.core.lazy_pandas import pd
 from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.figures import panels, plain
 from protochain.results.page import table_data, write_page
 from protochain.structure.preparation.losses import loss_lines
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _SHOWN = {
     "structure", "method", "status", "ca_rmsd_angstrom", "energy_end_reference_kj_mol", "violations_end",

@@ -8,21 +8,19 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, get_origin
+from typing import get_origin
 
 from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.core.errors import ProtochainError, WriteError
+from protochain.core.lazy_pandas import pd
 from protochain.core.storage import check_writable, claim_folder, regular, write_text
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.run_folder import REPLACE, csv_text, refuse_earlier, remove_files, saving
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _LISTS = ("rounds", "ligands", "restraint_violations", "timings")
 """Entries of records that are not columns of a table."""
@@ -208,8 +206,6 @@ def _source(row: Mapping[str, object]) -> tuple[str, str]:
 
 def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
     """Read a table of a batch or of frames with types of columns. Structures may be named NA or null."""
-    import pandas as pd
-
     names = pd.read_csv(path, nrows=0).columns
     missing = {name: [""] if types.get(name) == "string" else ["", "nan"] for name in names}
     table = pd.read_csv(path, dtype={**types}, keep_default_na=False, na_values=missing)

@@ -13,14 +13,13 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
+from protochain.core.lazy_pandas import pd
 from protochain.core.storage import regular
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.structure.formats.confidences import copy_confidences
 from protochain.structure.formats.files import suffix_of
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from protochain.chains.chain import Chain
     from protochain.core.arrays import Floats
     from protochain.energies import Energy
@@ -129,8 +128,6 @@ def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
 
 def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple["Relaxation", "pd.DataFrame"]:
     """Relax a structure. Return the result, and its trace as a table."""
-    import pandas as pd
-
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.relaxation.result import TRACE_COLUMNS
 

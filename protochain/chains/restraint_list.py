@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,12 @@ from protochain.chains.restraint_lines import read_restraints
 from protochain.core import arrays
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.dihedrals import dihedral_finder
 from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.select import atoms_at
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 """A restraint is violated if its coordinate is farther outside the bounds."""
@@ -244,8 +242,6 @@ class ViolationsAtEnd:
 
         Columns ``restraint``, ``value``, ``bound``, ``violation`` and ``unit``, angstrom or degrees.
         """
-        import pandas as pd
-
         names = [field.name for field in fields(RestraintValue)]
         return pd.DataFrame(self.violation_rows(), columns=names)
 

@@ -10,10 +10,9 @@ from protochain.cli import frames as of_frames
 from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.core.errors import ProtochainError
+from protochain.core.lazy_pandas import pd
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from protochain.batches.frame_tasks import Task
 
 _MOST_ROWS = 25
@@ -87,7 +86,7 @@ def energy(
         options.print_files(*files)
 
 
-def _print(table: "DataFrame", by: str) -> None:
+def _print(table: "pd.DataFrame", by: str) -> None:
     """Print a line for each term, or for residues and pairs the rows with the largest totals."""
     if by == "term":
         shown = table.set_index("of").T

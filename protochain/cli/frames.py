@@ -13,6 +13,7 @@ import typer
 from protochain.cli import options
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import plural
 from protochain.core.storage import claimed_files
 
@@ -187,8 +188,6 @@ _PARTED = 10.0
 
 def _count_split_frames(result: "FramesRun") -> str:
     """Message on the frames in which molecules that touch in the structure are far apart."""
-    import pandas as pd
-
     from protochain.batches.frame_tasks import GAP
 
     gap = pd.read_csv(result.csv, usecols=[GAP])[GAP]
@@ -202,8 +201,6 @@ def _count_split_frames(result: "FramesRun") -> str:
 
 def _medians(result: "FramesRun") -> str:
     """Medians of a few columns, as text. Only these columns are read."""
-    import pandas as pd
-
     from protochain.results.columns import heading
 
     existing = pd.read_csv(result.csv, nrows=0).columns

@@ -11,12 +11,11 @@ import numpy as np
 from protochain.cli.lines import Kind, energy_text, is_verbose, residues_shown, table_of_two, tell
 from protochain.cli.options import describe_move, print_changes, print_files, print_lost, print_violations
 from protochain.core import defaults
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import abridge, plural
 from protochain.core.timings import part
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.relaxation import Relaxation
@@ -136,7 +135,7 @@ def _print_wrapped(kind: Kind, lines: list[str]) -> None:
     tell(kind, *(row for line in lines for row in textwrap.wrap(line, _WIDTH)))
 
 
-def print_folder(table: "DataFrame", folder: Path) -> None:
+def print_folder(table: "pd.DataFrame", folder: Path) -> None:
     """Print the number of each status, remaining violations, and the written files."""
     from protochain.cli.terminal import count_violations, ligands_moved
 

@@ -4,15 +4,13 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from protochain.cli.options import exit_status, print_files, print_json
 from protochain.cli.printable import printer
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from protochain.core.lazy_pandas import pd
 
 Rows = list[dict[str, Any]]
 
@@ -25,7 +23,7 @@ def refusal_row(error: object, **row: Any) -> dict[str, Any]:
 
 def conclude(
     rows: Rows,
-    tables: Mapping[Path | None, "Callable[[], DataFrame]"],
+    tables: Mapping[Path | None, "Callable[[], pd.DataFrame]"],
     show: Callable[[Rows], None],
     as_json: bool,
     files: Sequence[Path] = (),
@@ -50,17 +48,13 @@ def conclude(
     raise typer.Exit(exit_status("refused" if row["message"] else status for row in rows))
 
 
-def table_of(rows: Rows, without: Iterable[str] = ()) -> "DataFrame":
+def table_of(rows: Rows, without: Iterable[str] = ()) -> "pd.DataFrame":
     """Rows as a table, without the columns ``without``."""
-    import pandas as pd
-
     return pd.DataFrame(rows).drop(columns=[*without], errors="ignore").convert_dtypes()
 
 
-def concatenate(tables: "Sequence[DataFrame]") -> "DataFrame":
+def concatenate(tables: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     """Concatenate tables. Without tables, return an empty one."""
-    import pandas as pd
-
     return pd.concat(tables) if tables else pd.DataFrame()
 
 

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 from protochain.cli.lines import OVERLAPPING, Kind, energy_text, prints, residues_shown, tell, warn
 from protochain.cli.options import print_lost, print_violations
 from protochain.cli.printable import printable, printer
+from protochain.core.lazy_pandas import pd
 from protochain.core.timings import PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from pandas import DataFrame
 
     from protochain.batches.batch_structures import BatchProgress
     from protochain.batches.frame_files import Watch
@@ -473,13 +472,13 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
-def count_violations(usable: "DataFrame") -> str:
+def count_violations(usable: "pd.DataFrame") -> str:
     """Violations of relaxed structures before and after, as text."""
     before, after = (int(usable[f"violations_{stage}"].sum()) for stage in ("start", "end"))
     return f"residues with violations {before} before, {after} after"
 
 
-def ligands_moved(usable: "DataFrame") -> str:
+def ligands_moved(usable: "pd.DataFrame") -> str:
     """Displacements of ligands, as text. Empty without ligands."""
     rmsd, farthest = (usable.get(f"ligand_{name}_angstrom") for name in ("rmsd", "displacement_max"))
     if rmsd is None or farthest is None or not rmsd.notna().any():
@@ -490,7 +489,7 @@ def ligands_moved(usable: "DataFrame") -> str:
     )
 
 
-def print_batch(table: "DataFrame", report: str) -> None:
+def print_batch(table: "pd.DataFrame", report: str) -> None:
     """Print the number of each status for each method, failures, and unconverged relaxations."""
     from protochain.relaxation.record import METHOD as RELAX
 

@@ -14,11 +14,10 @@ from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, Inputs, check_outputs, files_of, with_settings
 from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.errors import ProtochainError
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import plural
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from protochain.batches.frame_tasks import Task
     from protochain.comparison.differences import Differences
     from protochain.structure import Structure
@@ -85,8 +84,8 @@ def validate(
     compared = structure_to_measure(reference) if reference else None
     rows: Rows = []
     notes: dict[str, list[str]] = {}
-    of_residues: list[DataFrame] = []
-    change_tables: list[DataFrame] = []
+    of_residues: list[pd.DataFrame] = []
+    change_tables: list[pd.DataFrame] = []
     # Structures are not stored, as there may be thousands.
     for name, result in _validate_files(files, compared, posebusters):
         if isinstance(result, ProtochainError):

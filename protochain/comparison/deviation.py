@@ -4,21 +4,19 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import check_arguments, selection
 from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.lazy_pandas import pd
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, models_of, structure_to_measure, tm_score
 from protochain.structure.select import select, sides
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ALPHA = "name CA"
 """Selection of the C-alpha atoms, in MDAnalysis syntax."""
@@ -133,8 +131,6 @@ def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
 ) -> "pd.DataFrame":
     """Measure many files against a reference: one row per model of each file, failures included."""
-    import pandas as pd
-
     first = structure_to_measure(reference)
     select(first, align), select(first, measure)
     rows = []

@@ -12,10 +12,10 @@ from protochain.core.arrays import floats
 from protochain.core.checks import check_arguments, flag, function
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.minimisers import minimise
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 ENERGY = "energy_kj_mol"
@@ -60,8 +60,6 @@ def scan(
     >>> table["energy_kj_mol"].idxmin()
     1
     """
-    import pandas as pd
-
     cut, energy = with_energy(chain, energy)
     if not isinstance(grids, Mapping) or not grids:
         raise ProtochainError("grids: give values by the names of hinges, as {'phi A:3': [-60, 60]}")

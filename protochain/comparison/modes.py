@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import xlogy
@@ -12,6 +12,7 @@ from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Value, means_by
 from protochain.core.checks import quantity
 from protochain.core.errors import Argument, ProtochainError, refusal
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
 from protochain.energies import Energy
@@ -20,9 +21,6 @@ from protochain.mechanics.multibody import HingeKind
 from protochain.structure import Structure
 from protochain.structure.matching import match, structure_to_measure
 from protochain.structure.superpose import motion
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FLAT = 1.0
 """kJ/mol/rad. Largest torque of a minimum, as for minimisers."""
@@ -216,8 +214,6 @@ class NormalModes(Value):
         ProtochainError
             As :meth:`mean_squares`.
         """
-        import pandas as pd
-
         s = self.chain.structure
         squares = self.mean_squares(temperature)
         alpha = s.alpha_carbons
@@ -393,8 +389,6 @@ class NormalModes(Value):
 
     def table(self) -> "pd.DataFrame":
         """Return a row for each mode, counted from 1: frequency, eigenvalue, collectivity, residual."""
-        import pandas as pd
-
         return pd.DataFrame(
             {
                 "mode": np.arange(1, self.n_modes + 1),

@@ -7,7 +7,7 @@ the subspace of the softest modes, and the other hinges follow their torques wit
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -20,12 +20,10 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import at_least, check_arguments, function, in_range, number
 from protochain.core.errors import Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.structure import Structure
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 STRETCH = 1.2
 """Relative distance at which a native contact is lost."""
@@ -88,8 +86,6 @@ class Unfolding(Value):
 
     def table(self) -> "pd.DataFrame":
         """Table with a row a step: ``step``, ``energy_kj_mol``, ``contacts_share``."""
-        import pandas as pd
-
         steps = np.arange(len(self.energies))
         return pd.DataFrame({"step": steps, "energy_kj_mol": self.energies, "contacts_share": self.shares})
 

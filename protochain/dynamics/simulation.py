@@ -14,6 +14,7 @@ from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd, measure_restraints
 from protochain.core.arrays import Floats
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import plural
 from protochain.core.settings import document_fields
 from protochain.dynamics.loop import Ending, State
@@ -27,7 +28,6 @@ from protochain.structure.formats.frames import open_frames
 if TYPE_CHECKING:
     import MDAnalysis
     import mdtraj
-    import pandas as pd
 
 
 @document_fields
@@ -110,8 +110,6 @@ class Simulation(ViolationsAtEnd):
     @cached_property
     def trace(self) -> "pd.DataFrame":
         """Log of the simulation. The first row is the start."""
-        import pandas as pd
-
         return pd.DataFrame(self.rows)
 
     @property

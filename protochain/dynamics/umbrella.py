@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,10 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, finite
 from protochain.core.checks import at_least, brief, check_arguments, instance, quantity
 from protochain.core.errors import Argument, ProtochainError, refusal
+from protochain.core.lazy_pandas import pd
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 from protochain.dynamics.simulate_chain import simulate
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _COORDINATE = instance(Restraint, 'pc.Restraint("dihedral", ("phi A:3",), 0, 0, 100)')
 _CENTRE_TOLERANCE = 1e-6
@@ -72,8 +70,6 @@ def umbrella(
     contributions to the error (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that
     are slower than a window do not affect it.
     """
-    import pandas as pd
-
     turns = coordinate.kind == "dihedral"
     if np.size(centres) < 2 or coordinate.kind == "position":
         raise ProtochainError("umbrella: give two centres or more, of a dihedral or a distance")

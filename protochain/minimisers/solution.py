@@ -17,6 +17,7 @@ from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
+from protochain.core.lazy_pandas import pd
 from protochain.core.markup import facts
 from protochain.core.settings import document_fields
 from protochain.energies.decomposed import terms_at
@@ -35,7 +36,6 @@ from protochain.validation.findings import remains
 from protochain.validation.ligands import describe_motion, ligand_motion, sdf_properties
 
 if TYPE_CHECKING:
-    import pandas as pd
     from scipy.optimize import OptimizeResult
 
 N_FRAMES = 50
@@ -49,8 +49,6 @@ TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", *SIZES,
 
 def alpha_residues(structure: Structure) -> "pd.DataFrame":
     """Chain, residue (number and insertion code) and name of each C-alpha."""
-    import pandas as pd
-
     at = structure.atom_residue[structure.alpha_carbons]
     number = np.char.add(structure.residue_number[at], structure.residue_insertion_code[at])
     columns = {"chain": structure.residue_chain[at], "residue": number, "name": structure.residue_name[at]}
@@ -121,8 +119,6 @@ class Recorder:
 def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Floats]) -> "pd.DataFrame":
     """Trace of recorded rows and their C-alphas, with the columns ``TRACE_COLUMNS``."""
     # Imported on use: the import is slower than minimising a small protein.
-    import pandas as pd
-
     start = structure.positions[structure.alpha_carbons]
     full = [
         {**row, "ca_rmsd_angstrom": rmsd_angstrom(x, start) if np.isfinite(x).all() else np.nan}

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from protochain.core.arrays import read_only
 from protochain.core.checks import WATCHER, check_arguments, function, integer, number, quantity
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.energies import Energy
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
@@ -24,9 +25,6 @@ from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import overlap_stage, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure import Structure
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _BUDGET = 500
 """Largest number of evaluations of soft repulsion before a start."""
@@ -79,8 +77,6 @@ class Starts:
     @cached_property
     def table(self) -> "pd.DataFrame":
         """One row per start."""
-        import pandas as pd
-
         return pd.DataFrame(self.records())
 
     def summary(self) -> dict[str, float]:

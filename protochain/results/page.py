@@ -4,16 +4,14 @@ import math
 from collections.abc import Collection, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 
+from protochain.core.lazy_pandas import pd
 from protochain.core.palette import looks
 from protochain.core.storage import write_text
 from protochain.results.columns import flat, heading
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def render(template: str, /, **variables: Any) -> str:

@@ -15,6 +15,7 @@ from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import integer
 from protochain.core.errors import refusal
+from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
@@ -27,8 +28,6 @@ from protochain.searching.walker_steps import Finding
 from protochain.structure.superpose import rmsd_angstrom
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from protochain.structure import Structure
 
 N_LISTED = 200
@@ -136,8 +135,6 @@ class Search(Value):
         Fixman's potential, and ``free_energy_rigid_kj_mol`` for rigid bonds, which depends on masses. Both
         are relative to the lowest minimum, for only a few of the lowest minima.
         """
-        import pandas as pd
-
         walker, descents = self._descents
         rows = self._unique[:N_LISTED]
         q, energy = descents[rows, 2:], descents[rows, 1]
@@ -195,8 +192,6 @@ class Search(Value):
         ``exchanges`` is the mean probability of exchanges with the next temperature. ``slope`` is the slope
         of the energy histograms of the two, relative to the canonical slope, with ``slope_error``.
         """
-        import pandas as pd
-
         rows = []
         states = [state for state, _ in self._sampling]
         odds, rounds = sum(state.odds for state in states), sum(state.n_counted for state in states)
@@ -224,8 +219,6 @@ class Search(Value):
     @cached_property
     def conformers(self) -> pd.DataFrame:
         """Share of each conformer by temperature from tempering, with the standard error."""
-        import pandas as pd
-
         if not self._samples:
             return pd.DataFrame(columns=["temperature_k", "conformer", "share", "share_error"])
         names = [conformers.names(*conformers.backbone(self.chain, walk[:, :, 1:])) for walk in self._samples]
