@@ -1,15 +1,16 @@
 """A mechanism as built, and the rows of its motion, as integrators and pictures see them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from protochain.core.arrays import Floats, read_only
-from protochain.core.errors import BodyError
+from protochain.core.arrays import Floats, finite, read_only
+from protochain.core.checks import number
+from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Drive, Equations, Load, Phase, System
 from protochain.mechanics.multibody import Tree
@@ -20,6 +21,9 @@ from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
 from protochain.mechanisms.loop_joints import DEPENDENT
+
+Coordinates = ArrayLike | Mapping[str, ArrayLike] | None
+"""Values of all freedoms, of hinges by name, or by default of the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +104,137 @@ class Assembly:
 
     def start(self) -> Phase:
         """Phase at the start. Refused if the pose is singular, or an element returns a non-finite value."""
+        return self._phase(None, None, 0.0)
+
+    def _phase(self, q: Coordinates, qd: Coordinates, time: float) -> Phase:
+        """Phase at coordinates and velocities, as :meth:`state` accepts them."""
         try:
-            return self.system.at(self.q, self.qd)
+            at = self._values(q, "q", self.q), self._values(qd, "qd", self.qd)
+            return self.system.at(*at, number(time, "time"))
         except BodyError as error:
             raise error.by_name(self.bodies.names) from None
 
-    def state(self, at: Phase | None = None) -> State:
-        """State at a phase, by default at the start, from which points and velocities can be had by name."""
-        at = self.start() if at is None else at
+    def _values(self, values: Coordinates, name: str, usual: Floats) -> Floats:
+        """Array of values, or of values by hinge. Without a value a hinge has the usual one."""
+        if not isinstance(values, Mapping):
+            return usual if values is None else finite(values, usual.shape, name)
+        out = usual.copy()
+        for hinge, value in values.items():
+            self.bodies.hinge(hinge, name)
+            place = (self.bodies.ball(hinge) or self.bodies.freedom(hinge, name))[name != "q"]
+            place = slice(place, place + 1) if isinstance(place, int) else place
+            unit = 1.0 if name == "tau" else self.bodies.unit(hinge)
+            out[place] = unit * finite(value, out[place].shape, f"{name} of {hinge}")
+        return out
+
+    def state(
+        self, at: Phase | None = None, *, q: Coordinates = None, qd: Coordinates = None, time: float = 0.0
+    ) -> State:
+        """State at a phase, or at coordinates and velocities, for points and velocities by name.
+
+        Parameters
+        ----------
+        at : Phase, optional
+            Phase, as :attr:`Run.end`. It excludes the other arguments.
+        q : (n_q,) float, or mapping of str to float, optional
+            Coordinates in radians, or coordinates of hinges by name, in the unit of the mechanism. Other
+            coordinates are the start's. Loops are closed with the least change.
+        qd : (n_v,) float, or mapping of str to float, optional
+            Velocities, as ``q``.
+        time : float
+            Time of the drives.
+
+        Returns
+        -------
+        State
+            With all bodies in place.
+
+        Raises
+        ------
+        MechanicsError
+            If a hinge is unknown, the pose is singular, or loops do not close.
+        """
+        if at is not None and not (q is qd is None):
+            raise MechanicsError("state: a phase has coordinates; give a phase, or q and qd")
+        at = self._phase(q, qd, time) if at is None else at
         state = State(self.bodies, at.time, at.q, at.qd, at.factors.frames)
         # Known already, so that impulses need not factorise again.
         state.__dict__["factors"] = at.factors
         return state
+
+    def mass_matrix(self, q: Coordinates = None) -> Floats:
+        """Mass matrix M, so that the kinetic energy is qd^T M qd / 2.
+
+        Parameters
+        ----------
+        q : (n_q,) float, or mapping of str to float, optional
+            As of :meth:`state`.
+
+        Returns
+        -------
+        (n_v, n_v) float
+            As of Pinocchio's ``crba`` and MuJoCo's ``mj_fullM``, with the inertia of rotors. Freedoms are in
+            the order of ``qd``. ``bodies.freedom(hinge)`` returns their places.
+        """
+        return multibody.mass_matrix(self.tree, self._phase(q, None, 0.0).factors.frames)
+
+    def bias(self, q: Coordinates = None, qd: Coordinates = None, time: float = 0.0) -> Floats:
+        """Torques without acceleration: b in M qdd + b = tau.
+
+        Parameters
+        ----------
+        q, qd, time : (n_q,) and (n_v,) float or mappings, and float
+            As of :meth:`state`.
+
+        Returns
+        -------
+        (n_v,) float
+            Velocity products minus gravity, as Pinocchio's ``nonLinearEffects`` and MuJoCo's ``qfrc_bias``,
+            minus the torques of all other elements.
+        """
+        return self.inverse_dynamics(q, qd, np.zeros(self.tree.n_v), time)
+
+    def forward_dynamics(
+        self, q: Coordinates = None, qd: Coordinates = None, tau: Coordinates = None, time: float = 0.0
+    ) -> Floats:
+        """Accelerations under all elements and further torques.
+
+        Parameters
+        ----------
+        q, qd, time : (n_q,) and (n_v,) float or mappings, and float
+            As of :meth:`state`.
+        tau : (n_v,) float, or mapping of str to float, optional
+            Torques at hinges, and forces at slides, in addition to the elements.
+
+        Returns
+        -------
+        (n_v,) float
+            Accelerations in radians, with closed loops, and as prescribed at driven hinges.
+        """
+        at = self._phase(q, qd, time)
+        torque = at.torque + self._values(tau, "tau", np.zeros(self.tree.n_v))
+        return self.system.accelerations(at.time, at.q, at.qd, torque, at.loads, at.factors)[0]
+
+    def inverse_dynamics(
+        self, q: Coordinates, qd: Coordinates, qdd: Coordinates, time: float = 0.0
+    ) -> Floats:
+        """Torques that accelerations require in addition to all elements.
+
+        Parameters
+        ----------
+        q, qd, time : (n_q,) and (n_v,) float or mappings, and float
+            As of :meth:`state`.
+        qdd : (n_v,) float, or mapping of str to float
+            Accelerations, of other hinges 0.
+
+        Returns
+        -------
+        (n_v,) float
+            Torques at hinges, and forces at slides, driven ones included. Joints of loops transmit no force.
+        """
+        at = self._phase(q, qd, time)
+        qdd = self._values(qdd, "qdd", np.zeros(self.tree.n_v))
+        return self.system.inverse_dynamics(at.q, at.qd, qdd) - at.torque
 
 
 Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
