@@ -50,6 +50,16 @@ class Clusters(Value):
     # root-mean-square deviation of its C-alpha from the mean of all frames, which are superposed on it.
     fluctuations: "pd.DataFrame"
 
+    @property
+    def structure(self) -> Structure:
+        """Medoid of the largest cluster."""
+        return self.medoids[0]
+
+    @property
+    def frames(self) -> Floats:
+        """(k, na, 3) float, nm: positions of the medoids."""
+        return np.array([medoid.positions for medoid in self.medoids])
+
     def __repr__(self) -> str:
         return f"<Clusters: {len(self.medoids)} of {len(self.table)} frames>"
 

@@ -18,6 +18,7 @@ from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
 from protochain.relaxation.relax_settings import fixed_options, split
 from protochain.structure import Structure
+from protochain.structure.convert import as_frames
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Frames, open_frames
 from protochain.structure.select import move_argument
@@ -76,7 +77,8 @@ def relax_frames(
     frames : path-like, (n, atoms, 3) float, nm, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, optional
         Trajectory (``.xtc``, ``.trr``, ``.dcd``, ``.nc``), PDB or mmCIF file with models, or ``.npz`` with
         ``positions`` or ``pos`` and their ``unit``. Its atoms are the atoms of the file ``top``, or of the
-        prepared ``top``. It is read frame by frame. By default, the models of the file ``top``.
+        prepared ``top``. It is read frame by frame. A result has its frames, or its final structure. By
+        default, the models of the file ``top``, or the frames of the result ``top``.
     select : int, str, slice or list, optional
         Frames: a number, ``"START:STOP:STEP"``, or a list, as ``"0,2,5"``. By default, all frames.
     workers : int, optional
@@ -163,7 +165,7 @@ def frame_energies(
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
     """Open frames, prepare their structure, and map its atoms to the atoms of the frames."""
-    frames_read = open_frames(top if frames is None else frames, select)
+    frames_read = open_frames(as_frames(top if frames is None else frames), select)
     structure = setup.load(top)
     names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues")
     settings = {name: getattr(setup, name) for name in names}

@@ -30,6 +30,11 @@ class Prepared(NamedTuple):
     chain: "Chain"
     energy: "Energy"
 
+    @property
+    def energy_function(self) -> "Energy":
+        """Energy, by the name that results have."""
+        return self.energy
+
 
 @document_settings()
 @dataclass(frozen=True)

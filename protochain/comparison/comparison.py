@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from protochain.chains.chain import Chain
 from protochain.comparison import plots
 from protochain.comparison.colourings import colourings
 from protochain.comparison.deviation import deviation
@@ -20,12 +21,15 @@ from protochain.comparison.folder import clear
 from protochain.comparison.quality import quality
 from protochain.comparison.spread import spreads
 from protochain.comparison.work import at_equal_cost, work_to_reach
+from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.settings import document_fields
 from protochain.core.storage import json_text, write_atomically, write_text
+from protochain.energies import Energy
 from protochain.minimisers import Solution
 from protochain.minimisers.record import short_columns
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
+from protochain.minimisers.starts import lowest_solution
 from protochain.results.columns import flat
 from protochain.results.figures import data_url
 from protochain.results.page import render
@@ -77,6 +81,26 @@ class Comparison:
             )
         if any(s.chain.structure is not self.structure for s in runs):
             raise ProtochainError("solutions of different starts cannot be compared; use one for all")
+
+    @cached_property
+    def best(self) -> Solution:
+        """Solution of lowest energy, which other calls use. Solutions with changed isomers come last."""
+        return lowest_solution(self.solutions)
+
+    @property
+    def chain(self) -> Chain:
+        """Chain of the best solution."""
+        return self.best.chain
+
+    @property
+    def energy_function(self) -> Energy:
+        """Energy function of all solutions."""
+        return self.best.energy_function
+
+    @property
+    def frames(self) -> Floats:
+        """(n, na, 3) float, nm: positions at the end of each solution, in the order of ``table``."""
+        return np.array([solution.x for solution in self.solutions])
 
     @cached_property
     def table(self) -> pd.DataFrame:

@@ -22,6 +22,7 @@ from protochain.core.errors import Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
+from protochain.energies import Energy
 from protochain.mechanics import multibody
 from protochain.structure import Structure
 
@@ -72,6 +73,7 @@ class Unfolding(Value):
     """A path from a folded structure to one that has lost its native contacts."""
 
     chain: Chain  # Chain of rigid bodies.
+    energy_function: Energy  # Energy of the chain.
     contacts: NativeContacts  # Native contacts of the start.
     q: Floats  # (n_q,) float: Coordinates of the end.
     energies: Floats  # (n,) float, kJ/mol: Energy of each step, the start included.
@@ -168,7 +170,8 @@ def unfold(
             if watch:
                 watch(len(rates), shares[-1])
     is_unfolded = shares[-1] <= until
-    return Unfolding(chain, contacts, q, np.array(energies), np.array(shares), np.array(rates), is_unfolded)
+    path = np.array(energies), np.array(shares), np.array(rates)
+    return Unfolding(chain, energy, contacts, q, *path, is_unfolded)
 
 
 def _require_finite(*values: Any) -> None:

@@ -141,9 +141,9 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **arguments:
 
     Parameters
     ----------
-    given : Energy, callable or None
-        Energy of this structure, or callable as for :class:`CustomEnergy`. The default is the energy of the
-        source, if it has one, as a result has, or else the energy of the default force field.
+    given : Energy, result, callable or None
+        Energy of this structure, result with it, or callable as for :class:`CustomEnergy`. The default is
+        the energy of the source, if it has one, as a result has, or else of the default force field.
     structure : Structure
         Structure whose energy it is.
     source : Any
@@ -163,6 +163,7 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **arguments:
     """
     if given is None:
         given = energy(source if has_energy(source) else structure, **arguments)
+    given = given.energy_function if has_energy(given) else given
     if hasattr(given, "without_constants"):
         check_is_of(given, structure)
         return given

@@ -1,6 +1,6 @@
 """Minimisation of one protein from many starts of perturbed dihedrals."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Chain, pose
 from protochain.core import defaults
-from protochain.core.arrays import read_only
+from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import WATCHER, check_arguments, function, integer, number, quantity
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
@@ -30,6 +30,11 @@ _BUDGET = 500
 """Largest number of evaluations of soft repulsion before a start."""
 
 
+def lowest_solution(solutions: Iterable[Solution]) -> Solution:
+    """Solution of lowest energy, the first of equal ones. Solutions with changed isomers come last."""
+    return min(solutions, key=lambda s: (s.status in OTHER_ISOMER, s.end.energy))
+
+
 @document_fields
 @dataclass(frozen=True, eq=False)
 class Starts:
@@ -46,8 +51,13 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """Solution of lowest energy, the first of equal ones. Solutions with changed isomers come last."""
-        return min(self.solutions, key=lambda s: (s.status in OTHER_ISOMER, s.end.energy))
+        """Solution of lowest energy, as :func:`lowest_solution`."""
+        return lowest_solution(self.solutions)
+
+    @property
+    def frames(self) -> Floats:
+        """(n, na, 3) float, nm: positions at the end of each solution."""
+        return np.array([solution.x for solution in self.solutions])
 
     @property
     def structure(self) -> Structure:

@@ -19,6 +19,7 @@ from protochain.core.checks import words as words_of
 from protochain.core.errors import Argument, ProtochainError, StructureError
 from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.energies import Energy
 from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
 from protochain.minimisers.verdict import Status
@@ -73,6 +74,11 @@ class Mutation(Value):
     def structure(self) -> Structure:
         """The relaxed mutant."""
         return self.mutant.structure
+
+    @property
+    def energy_function(self) -> Energy:
+        """Energy function of the mutant."""
+        return self.mutant.energy_function
 
     @property
     def change(self) -> float:

@@ -128,6 +128,11 @@ class Search(Value):
         return superpose(minimum, lowest)
 
     @cached_property
+    def frames(self) -> Floats:
+        """(m, na, 3) float, nm: positions of the different minima, the lowest first, superposed on it."""
+        return np.array([self.structure(number).positions for number in range(1, len(self.q) + 1)])
+
+    @cached_property
     def minima(self) -> pd.DataFrame:
         """Table of the lowest minima, with their clusters and harmonic free energies.
 

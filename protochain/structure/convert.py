@@ -10,6 +10,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import plain
+from protochain.core.errors import StructureError
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.formats.files import check, number_atoms, places_in_file
@@ -32,8 +33,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     source : Structure, path-like, or an object of another library
         A gemmi Structure, an mdtraj Trajectory (first frame), an MDAnalysis Universe or AtomGroup (current
         frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged. A Chain
-        or a result returns its structure, of several minima the lowest. Its energy and hinges are not
-        included. To reuse them, pass on the result itself.
+        or a result returns its structure, of several solutions or minima the lowest. Its energy and hinges
+        are not included. To reuse them, pass on the result itself.
     name : str
         Short name for a source other than a file.
     **settings
@@ -54,11 +55,9 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     >>> pc.as_structure("structures/ala10.pdb").n_residues
     10
     """
-    content = getattr(source, "structure", source)
-    content = content() if inspect.ismethod(content) else content  # For a search, the lowest minimum.
-    # A comparison has several end structures besides its start, and no best.
-    if isinstance(content, Structure) and (hasattr(source, "best") or not hasattr(source, "solutions")):
-        return content
+    final = final_structure(source)
+    if final is not None:
+        return final
     if isinstance(source, str | Path):
         return load(source, **settings)
     parsed = as_gemmi(source)
@@ -68,6 +67,29 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     check(parsed, name)
     draft = Draft(name, name, reading=reading_of(**settings), file=parsed)
     return prepare(run(draft, READING))
+
+
+def final_structure(source: Any) -> Structure | None:
+    """Structure of a result: of several solutions or minima the lowest. None for other objects."""
+    result = getattr(source, "best", source) if hasattr(source, "solutions") else source
+    content = getattr(result, "structure", result)
+    content = content() if inspect.ismethod(content) else content
+    return content if isinstance(content, Structure) else None
+
+
+def as_frames(source: Any) -> Any:
+    """Return the frames of a result, of a structure or of several. Return any other source unchanged.
+
+    A result without frames has its final structure as a single frame.
+    """
+    several = isinstance(source, list | tuple) and not hasattr(source, "structure")
+    ends = [final_structure(part) for part in (source if several else [source])]
+    if not ends or None in ends:
+        return source
+    if len({end.n_atoms for end in ends if end}) > 1:
+        raise StructureError("frames: the structures have different atoms; give structures of the same atoms")
+    stored = getattr(source, "frames", ())
+    return stored if len(stored) else np.array([end.positions for end in ends if end])
 
 
 def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory:
@@ -100,8 +122,8 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory
 
 def _frames(structure: Structure, frames: Any) -> Floats:
     """Positions (n, na, 3) of frames, nm."""
-    xyz = np.asarray(plain(frames, "nanometer", "frames"))
-    return floats(xyz, (xyz.size // (3 * structure.n_atoms), structure.n_atoms, 3), "frames")
+    xyz = np.asarray(plain(as_frames(frames), "nanometer", "frames"))
+    return floats(xyz, (max(1, xyz.size // (3 * structure.n_atoms)), structure.n_atoms, 3), "frames")
 
 
 def to_mdanalysis(structure: Any, frames: Floats | None = None) -> MDAnalysis.Universe:

@@ -7,7 +7,7 @@ import numpy as np
 from protochain.core.arrays import Floats, floats
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.convert import as_structure
+from protochain.structure.convert import as_structure, final_structure
 from protochain.structure.molecule.model import Structure
 
 
@@ -94,8 +94,8 @@ def displacements(structure: Structure, x: Floats, reference: Floats) -> Floats:
 
 def _positions(structure: Structure, x: Any, name: str) -> Floats:
     """Positions of all atoms of a structure. Positions of another molecule are refused."""
-    source = getattr(x, "structure", x)
-    if isinstance(source, Structure):
+    source = final_structure(x)
+    if source is not None:
         if source.fingerprint != structure.fingerprint:
             raise ProtochainError(
                 f"{name}: {source.name} has other atoms than {structure.name}; pc.rmsd matches their residues"

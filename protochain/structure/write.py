@@ -24,7 +24,7 @@ from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary, of_residue
 from protochain.ligands.tables import ORDERS, heavy_rows, rows
-from protochain.structure.convert import as_structure
+from protochain.structure.convert import as_structure, final_structure
 from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.formats.records import (
     SPRINGS,
@@ -91,7 +91,7 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     """
     path, hydrogens = as_path(path, "path"), flag(hydrogens, "hydrogens")
     check_format(path)
-    several = isinstance(structure, list | tuple)
+    several = isinstance(structure, list | tuple) and final_structure(structure) is None
     models = [as_structure(model) for model in (structure if several else [structure])]
     if not models:
         raise StructureError(f"{path}: no models are given; give at least one structure")

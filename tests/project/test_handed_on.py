@@ -10,6 +10,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import openmm
 import pytest
+from fixtures.samples import STRUCTURES
 from fixtures.tolerances import RIGID_MOTION
 from openmm import app, unit
 
@@ -102,10 +103,13 @@ KINDS = {
     "frame of a result": lambda: frames(solution()),
     "interface": lambda: pc.score_interface(solution(), *PARTS, energy=own()),
     "compared": lambda: pc.compare(chain(), "lbfgs", own(), max_evaluations=20).solutions[0],
+    "comparison": lambda: pc.compare(chain(), ("lbfgs", "kcm"), own(), max_evaluations=20, curvature=False),
+    "mutation": lambda: pc.mutate(solution(), "Y2Y", max_iterations=5),
+    "prepared": lambda: pc.Setup(**OWN, hinges=HINGES).prepare(solution()),
     "twice": lambda: pc.minimise(pc.minimise(solution(), max_evaluations=2), max_evaluations=2),
 }
 """Every kind of result; its energy is ``own``."""
-WITHOUT_CHAIN = {"relaxation", "frame", "frame of a result", "interface"}
+WITHOUT_CHAIN = {"relaxation", "frame", "frame of a result", "interface", "mutation"}
 
 result = functools.cache(lambda kind: KINDS[kind]())
 
@@ -287,6 +291,86 @@ def test_the_lowest_of_several_minima_is_handed_on():
     assert np.array_equal(pc.as_structure(many).positions, many.best.x)
     assert at(own(), search) == pytest.approx(search.energy, rel=RIGID_MOTION)
     assert search.energy == min(search.energies)
+
+
+def ends(r):
+    """Positions of the frames of a result, computed another way."""
+    if hasattr(r, "solutions"):
+        return [solution.x for solution in r.solutions]
+    if isinstance(r, pc.Search):
+        return [r.structure(number + 1).positions for number in range(len(r.q))]
+    if isinstance(r, pc.Simulation):
+        return [*r.to_mdtraj().xyz]
+    return [*r.frames] if isinstance(r, pc.Solution) else [pc.as_structure(r).positions]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_of_a_result_are_used(kind):
+    """As the first argument with the energy of the result, and as frames of a structure."""
+    r = result(kind)
+    x = ends(r)
+    table, plain = pc.frame_energies(r), pc.frame_energies(peptide(), r, energy=own())
+    assert len(table) == len(x) and len(pc.to_mdtraj(peptide(), r)) == len(x)
+    by_files = [by_openmm("own", positions) for positions in x]
+    assert table["energy_kj_mol"].tolist() == pytest.approx(by_files, rel=RIGID_MOTION)
+    assert plain["energy_kj_mol"].tolist() == table["energy_kj_mol"].tolist()
+
+
+def test_structures_and_clusters_are_frames():
+    several = [solution(), result("search"), peptide()]
+    expected = [by_openmm("own", pc.as_structure(r).positions) for r in several]
+    assert pc.frame_energies(peptide(), several, energy=own())["energy_kj_mol"].tolist() == pytest.approx(
+        expected, rel=RIGID_MOTION
+    )
+    found = pc.cluster_frames(peptide(), several, within=0.0)
+    assert len(found.frames) == len(found.medoids) == 3
+    assert np.array_equal(pc.as_structure(found).positions, found.medoids[0].positions)
+    assert [row.record["frame"] for row in pc.relax_frames(several[0], [peptide()], max_iterations=1)] == [0]
+    with pytest.raises(pc.ProtochainError, match="the structures have different atoms; give"):
+        pc.frame_energies(peptide(), [peptide(), pc.from_sequence("AG")])
+
+
+def test_a_comparison_hands_on_its_lowest_end():
+    k = result("comparison")
+    lowest = min(k.solutions, key=lambda s: s.end.energy)
+    assert pc.as_structure(k) is not k.structure
+    assert np.array_equal(pc.as_structure(k).positions, lowest.x) and k.best is lowest
+    again = pc.minimise(k, method="lbfgs", max_evaluations=1).start.energy
+    assert again == pytest.approx(lowest.end.energy, rel=RIGID_MOTION)
+    assert pc.ca_rmsd(peptide(), k, lowest) < 1e-6 < pc.ca_rmsd(peptide(), k, peptide())
+
+
+def test_an_unfolded_chain_brings_its_energy():
+    folded = pc.load(STRUCTURES / "5awl.pdb")
+    vacuum = pc.energy(folded, solvent="vacuum", threads=1)
+    path = pc.unfold(folded, vacuum, max_steps=2)
+    assert pc.energy(path) is vacuum
+    assert pc.frame_energies(path)["energy_kj_mol"].tolist() == pytest.approx([path.energies[-1]])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pc.minimise,
+        pc.simulate,
+        pc.relax,
+        pc.energy,
+        pc.frame_energies,
+        pc.relax_frames,
+        pc.cluster_frames,
+        pc.rmsd,
+    ],
+)
+def test_what_has_no_structure_is_refused_with_what_to_give(call):
+    changes = pc.differences(peptide(), solution())
+    for wrong in (changes, changes.residues, pc.quality(solution()), [], None):
+        with pytest.raises(pc.ProtochainError, match="give "):
+            call(*[wrong] * (1 + (call is pc.rmsd)))
+
+
+def test_the_energy_of_another_result_is_used():
+    r = pc.minimise(peptide(), solution(), "lbfgs", max_evaluations=1)
+    assert r.energy_function is own()
 
 
 def test_what_is_named_replaces_its_part_of_the_energy_alone():
