@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
-from protochain.core.checks import at_least, check_fields, integer, number, one_of, words
+from protochain.core.checks import at_least, check_fields, integer, number, one_of, text, words
 from protochain.core.errors import ProtochainError, refusal
 from protochain.core.settings import document_fields
 
@@ -61,11 +61,12 @@ class Restraint:
     exponent: int = 2  # Exponent n of the energy. The unit of k is kJ/mol/nm^n or kJ/mol/rad^n.
     # Power p of the energy beyond l, E(l) + l E'(l) ((e/l)^p - 1)/p: 1 is linear, -1 levels off.
     tail: int = 1
+    label: str = ""  # Name in messages and tables, as ``noe.nef: restraint 12``.
 
     def __post_init__(self) -> None:
         check_fields(
             self, kind=one_of(PLACES), places=words, lower=number, upper=number, stiffness=_sides,
-            linear=_sides, exponent=at_least(1), tail=_tail,
+            linear=_sides, exponent=at_least(1), tail=_tail, label=text,
         )  # fmt: skip
         if len(self.places) not in PLACES[self.kind]:
             n = " or ".join(map(str, PLACES[self.kind][:2]))
@@ -154,11 +155,13 @@ def _read_sides(text: str) -> Sides:
     return numbers[0] if len(numbers) == 1 else _sides(numbers, "restraint")
 
 
-_OPTIONS: dict[str, Any] = {"linear": _read_sides, "exponent": int, "tail": int}
-"""Further numbers of a line, by name."""
+_OPTIONS: dict[str, Any] = {"linear": _read_sides, "exponent": int, "tail": int, "label": str}
+"""Further values of a line, by name."""
 
 
-def _text(value: Sides) -> str:
+def _text(value: Sides | str) -> str:
+    if isinstance(value, str):
+        return shlex.quote(value)
     return ",".join(f"{number:.10g}" for number in (value if isinstance(value, tuple) else (value,)))
 
 

@@ -8,12 +8,13 @@ from typing import Any
 from protochain.chains.amber_restraints import restraints_of_amber
 from protochain.chains.cns_restraints import restraints_of_cns
 from protochain.chains.restraint import EXAMPLE, PLACES, Restraint
+from protochain.chains.star_restraints import restraints_of_star
 from protochain.core.checks import brief
 from protochain.core.errors import ProtochainError, refusal
 
 
 def read_restraints(source: Any, name: str = "restraints") -> tuple[Restraint, ...]:
-    """Read restraints from a file (lines, AMBER or CNS), from Restraints, or from their lines."""
+    """Read restraints from Restraints, their lines, or a file (lines, AMBER, CNS, NEF or NMR-STAR)."""
     if isinstance(source, Restraint):
         return (source,)
     if isinstance(source, str | Path):
@@ -23,7 +24,7 @@ def read_restraints(source: Any, name: str = "restraints") -> tuple[Restraint, .
             return (Restraint.read(str(source)),)
         text = Path(source).read_text(errors="replace")
         try:
-            restraints = tuple(_of_text(text))
+            restraints = tuple(_of_text(text, Path(source).name))
         except ProtochainError as error:
             raise ProtochainError(f"{source}: ", *error.parts) from None
         if not restraints:
@@ -34,8 +35,10 @@ def read_restraints(source: Any, name: str = "restraints") -> tuple[Restraint, .
     return tuple(restraint for item in source for restraint in read_restraints(item))
 
 
-def _of_text(text: str) -> Iterable[Restraint]:
+def _of_text(text: str, file: str) -> Iterable[Restraint]:
     """Restraints of the text of a file. Its keywords determine the format."""
+    if re.search(r"(?im)^\s*data_\S", text):
+        return restraints_of_star(text, file)
     if re.search(r"(?im)^[ \t]*[&$]\w", text):
         return restraints_of_amber(text)
     if re.search(r"(?im)^[^#\n]*\bassi(gn?)?\b", text):

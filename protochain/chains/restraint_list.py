@@ -242,8 +242,17 @@ class ViolationsAtEnd:
 
         Columns ``restraint``, ``value``, ``bound``, ``violation`` and ``unit``, angstrom or degrees.
         """
-        names = [field.name for field in fields(RestraintValue)]
-        return pd.DataFrame(self.violation_rows(), columns=names)
+        return _table(select_violated(self.restraint_values))
+
+    @property
+    def restraint_table(self) -> "pd.DataFrame":
+        """All restraints at the end, worst first, with the columns of ``restraint_violations``."""
+        return _table(sorted(self.restraint_values, key=lambda value: -value.excess))
+
+
+def _table(values: Sequence[RestraintValue]) -> "pd.DataFrame":
+    names = [field.name for field in fields(RestraintValue)]
+    return pd.DataFrame([asdict(value) for value in values], columns=names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,7 +380,17 @@ def _at(atoms: Integers, vectors: Floats, n: int) -> Floats:
 
 
 def _groups(structure: Structure, restraint: Restraint) -> list[Integers]:
-    """Atoms of the places of a restraint."""
+    """Atoms of the places of a restraint, whose label precedes an error."""
+    try:
+        return _atoms_of_places(structure, restraint)
+    except StructureError as error:
+        if not restraint.label:
+            raise
+        remedy = "; correct its atoms, or remove it"
+        raise StructureError(f"{restraint.label}: ", *error.parts, remedy) from None
+
+
+def _atoms_of_places(structure: Structure, restraint: Restraint) -> list[Integers]:
     subject = f"{structure.name}: restraint {restraint}"
     if restraint.kind == "dihedral" and len(restraint.places) == 1:
         kind, _, place = restraint.places[0].replace("@", " ").partition(" ")

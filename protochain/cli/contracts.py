@@ -7,6 +7,7 @@ from typing import Any, NotRequired, get_type_hints
 from protochain.batches import table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
+from protochain.chains.restraint_list import RestraintValue
 from protochain.chains.setup import Setup
 from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
@@ -290,13 +291,16 @@ _FACTS = {
 _MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
 _MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
 _SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
+_RESTRAINTS = {"--restraint-csv": (_cells(get_type_hints(RestraintValue)),)}
 CONTRACTS: Mapping[str, Contract] = {
-    "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
+    "minimise": Contract(
+        (_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),), **_RESTRAINTS}
+    ),
     "relax": Contract(
         (_RELAXED, _FRAMES_TOLD, _BATCH),
         {
             "relaxed.csv": (_of_batch(table.RELAXED_COLUMNS, table.OF_INTERFACE),), **_BATCH_TABLES,
-            "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),),
+            "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),), **_RESTRAINTS,
         },
         (*_names(table.files_of(Path(), "relaxed")), *_BATCH_FILES), _BATCH_MORE,
     ),

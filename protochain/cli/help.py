@@ -16,7 +16,7 @@ _GROUPS = {
     "Force field": "forcefield solvent terms engine cutoff accuracy trust_forcefield",
     "Ligands": "ligands ligand_charges ligand_out free_ligands posebusters",
     "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "
-    "rank verbose quiet",
+    "restraint_csv rank verbose quiet",
     "Machine": "device threads workers scheduler time_limit",
 }
 _ORDER = ("Arguments", "Used most", "Structure", "Force field", "Method", "Ligands", "Output", "Machine")

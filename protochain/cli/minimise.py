@@ -53,6 +53,7 @@ def minimise(
     trajectory: Trajectory = None,
     report: options.Report = None,
     ligand_out: options.LigandOut = None,
+    restraint_csv: options.RestraintCsv = None,
     one_file: OneFile = False,
     timings: options.Timings = False,
     as_json: options.AsJson = False,
@@ -66,6 +67,7 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
+    from protochain.minimisers.restraints import Hold
     from protochain.minimisers.starts import refuse_restraints
     from protochain.structure.formats.trajectory import check_trajectory, part_of
 
@@ -74,19 +76,20 @@ def minimise(
     if starting.n_starts > 1:
         reason = "applies to a single start only"
         options.refuse(context, "checkpoint resume trajectory", reason)
-    extras = {"report": report, "ligands": ligand_out, "trace": trace}
+    options.check_restraint_csv(restraint_csv, Hold.of(minimising.restraints).listed)
+    extras = {"report": report, "ligands": ligand_out, "trace": trace, "restraints": restraint_csv}
     stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.{getattr(recipe, 'name', method)}{suffix}")
     options.check_names(output, report, ligand_out, as_json)
     if trajectory:
         check_trajectory(trajectory)
     if isinstance(setup.model, str):
-        single = "timings trace trajectory checkpoint resume report ligand_out"
+        single = "timings trace trajectory checkpoint resume report ligand_out restraint_csv"
         options.refuse(context, single, "applies to a single model only")
     runs = _runs(source, output, setup, one_file)
     frames = [trajectory, part_of(trajectory)] if trajectory else []
     outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *extras.values()]
-    new = [] if force else [trajectory, saving.checkpoint, trace, ligand_out]
+    new = [] if force else [trajectory, saving.checkpoint, trace, ligand_out, restraint_csv]
     options.check_outputs([source, saving.resume], outputs, setup, force, new=new)
     context.with_resource(claimed_files(*frames))
 
@@ -109,7 +112,7 @@ def minimise(
                 break
     with options.redirect_messages(output):
         lost = [line for record in records for line in record.get("not_written", ())]
-        requested = [Path(p) for p in (trajectory, trace, saving.checkpoint) if p]
+        requested = [Path(p) for p in (trajectory, trace, saving.checkpoint, restraint_csv) if p]
         further = [p for p in requested if p.exists() and not any(s.startswith(f"{p}: ") for s in lost)]
         _print(records, as_json, isinstance(setup.model, str), further)
         if timings and not as_json:

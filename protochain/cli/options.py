@@ -55,6 +55,9 @@ Report = Annotated[Path | None, typer.Option(help="Page with tables, plots and 3
 Timings = Annotated[
     bool, typer.Option("--timings", help="Print seconds by part, and the serial share of the loop.")
 ]
+RestraintCsv = Annotated[
+    Path | None, typer.Option(help="CSV with value, bound and violation of each restraint at the end.")
+]
 FigureFile = Annotated[
     Path | None, typer.Option("--figure", metavar="FILE", help="Figure for a paper (FILE.svg, .pdf or .png).")
 ]
@@ -267,6 +270,14 @@ def print_changes(
         warn([*summarise(repairs, as_option), *warnings])
 
 
+def check_restraint_csv(path: Path | None, restraints: Sequence[object]) -> None:
+    """Raise if a table of restraints is requested without restraints."""
+    if path and not restraints:
+        raise ProtochainError(
+            Argument("restraint_csv"), " requires distances or dihedrals by ", Argument("restraints")
+        )
+
+
 VIOLATIONS_SHOWN = 5
 """Most violated restraints that a command prints."""
 
@@ -282,7 +293,10 @@ def print_violations(record: "Mapping[str, Any]") -> None:
     tell(Kind.RESULT, f"{number} violated by more than 0.5 angstrom or 10 degrees:")
     tell(Kind.RESULT, *(f"  {RestraintValue(**value)}" for value in violated[:VIOLATIONS_SHOWN]))
     if len(violated) > VIOLATIONS_SHOWN:
-        tell(Kind.RESULT, f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --json lists")
+        tell(
+            Kind.RESULT,
+            f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --restraint-csv and --json list",
+        )
 
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
@@ -433,6 +447,7 @@ def write_outputs(
     report: Path | None,
     ligands: Path | None,
     trace: Path | None = None,
+    restraints: Path | None = None,
 ) -> dict[str, Any]:
     """Write a structure and its further files. Report a full disk. Return the record, or exit without one."""
     from protochain.core.storage import write_atomically
@@ -447,6 +462,8 @@ def write_outputs(
     try:
         if trace:
             write_atomically(trace, partial(result.trace.to_csv, index=False))
+        if restraints:
+            write_atomically(restraints, partial(result.restraint_table.to_csv, index=False))
         if report:
             write_report(result, record, report)
             record["report"] = str(report)

@@ -55,6 +55,7 @@ def relax(
     manifest: options.Manifest = None,
     report: options.Report = None,
     ligand_out: options.LigandOut = None,
+    restraint_csv: options.RestraintCsv = None,
     workers: Workers = None,
     scheduler: options.Scheduler = None,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
@@ -77,6 +78,7 @@ def relax(
     every frame is relaxed into one trajectory and a table.
     """
     setup = relaxing.setup(setup)
+    options.check_restraint_csv(restraint_csv, relaxing.restraints)
     several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_requested(trajectory, frames):
         if several:
@@ -86,16 +88,16 @@ def relax(
             output = _output_of_frames(trajectory or of_frames.single_structure(inputs or []))
         of_frames.run_if_requested(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
-            output.with_suffix(".csv"), excluded="scheduler ligand_out posebusters timings", output=output,
-            report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
+            output.with_suffix(".csv"), excluded="scheduler ligand_out restraint_csv posebusters timings",
+            output=output, report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
     if inputs and len(inputs) == 1 and options.is_one_file(inputs[0]) and not (several or scheduler):
         options.refuse(context, "workers time_limit resume", f"requires several inputs, not {inputs[0]}")
-        shown = report, ligand_out, timings, as_json
+        shown = report, ligand_out, restraint_csv, timings, as_json
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     options.refuse(context, "report", "applies to one structure. Several have report.html in their folder")
-    options.refuse(context, "timings", "applies to one structure only")
+    options.refuse(context, "timings restraint_csv", "applies to one structure only")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), " of several structures requires --ligands POSES")
     from protochain.batches.cluster import Processes
@@ -132,7 +134,7 @@ def _output_of_frames(frames: Path) -> Path:
 
 def _one(
     source: Path, output: Path | None, relaxing: RelaxSettings, setup: Setup, report: Path | None,
-    ligand_out: Path | None, timings: bool, as_json: bool, force: bool,
+    ligand_out: Path | None, restraint_csv: Path | None, timings: bool, as_json: bool, force: bool,
 ) -> int:  # fmt: skip
     """Relax one file. Return the exit status."""
     from protochain.cli.relaxing import print_plan, print_relaxed, progress
@@ -149,8 +151,8 @@ def _one(
     if output.is_dir():
         output = output / relaxed_name(source)
     options.check_names(output, report, ligand_out, as_json)
-    new = [] if force else [ligand_out]
-    options.check_outputs([source], [output, report, ligand_out], setup, force, new=new)
+    new = [] if force else [ligand_out, restraint_csv]
+    options.check_outputs([source], [output, report, ligand_out, restraint_csv], setup, force, new=new)
     with measure_run(from_start=True):
         began = perf_counter()
         structure = setup.load(source)
@@ -167,12 +169,15 @@ def _one(
                 arguments = result.provenance(), relaxing.keep_hydrogens
                 options.write_models([result.structure], output, suffix_of(source), *arguments)
 
-            record = options.write_outputs(result, origin, write, setup, _write_page, report, ligand_out)
+            record = options.write_outputs(
+                result, origin, write, setup, _write_page, report, ligand_out, restraints=restraint_csv
+            )
     if as_json:
         options.print_json(record)
     else:
         with options.redirect_messages(output):
             print_relaxed(result, record)
+            options.print_files(restraint_csv)
             if timings:
                 print_timings(record)
     return options.UNCONVERGED if "not_written" in record else options.exit_status([record["status"]])

@@ -19,6 +19,29 @@ LINES = [line for line in TABLE.splitlines() if line[:1] not in ("", "#")]
 TASKS = {line.split()[0]: line for line in LINES}
 
 
+NOES = """data_nef_1l2y
+save_nef_distance_restraint_list_noe
+_nef_distance_restraint_list.potential_type square-well-parabolic
+loop_
+_nef_distance_restraint.restraint_id
+_nef_distance_restraint.chain_code_1
+_nef_distance_restraint.sequence_code_1
+_nef_distance_restraint.residue_name_1
+_nef_distance_restraint.atom_name_1
+_nef_distance_restraint.chain_code_2
+_nef_distance_restraint.sequence_code_2
+_nef_distance_restraint.residue_name_2
+_nef_distance_restraint.atom_name_2
+_nef_distance_restraint.upper_limit
+7 A 3 TYR HBx A 8 LYS HZ% 2.5
+7 A 3 TYR HBx A 8 LYS HEx 2.5
+8 A 6 TRP HE1 A 16 ARG H 6.0
+stop_
+save_
+"""
+"""Two distances, one of them ambiguous."""
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """The samples, and what tasks begin with beside them."""
@@ -41,6 +64,7 @@ def made(tmp_path_factory):
     (folder / "bare.pdb").write_text("".join(bare))
     (folder / "empty.pdb").write_text("END\n")
     (folder / "r.txt").write_text("distance A:1:CA A:10:CA 0 30  # far\ndihedral phi@A:5 -70 -50 200\n")
+    (folder / "noe.nef").write_text(NOES)
     (folder / "list.csv").write_text("path\n5awl.pdb\nala10.pdb\n")
     (folder / "seq.fasta").write_text(">A\nAGAVALASAK\n")
     return folder
