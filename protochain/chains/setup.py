@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 ALL_MODELS = "all"
 OF_ENERGY = (
-    "forcefield", "solvent", "engine", "device", "cutoff", "accuracy", "threads", "trust_forcefield", "terms",
+    "forcefield", "solvent", "salt", "engine", "device", "cutoff", "accuracy", "threads", "trust_forcefield",
+    "terms",
 )  # fmt: skip
 """Settings that are arguments of :func:`protochain.energy`."""
 
@@ -87,7 +88,14 @@ class Setup(Settings):
         "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b).",
         checks.file_name,
     )
-    solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", checks.text)
+    solvent: str = setting(defaults.SOLVENT, "vacuum, hct, obc1, obc2, gbn or gbn2.", checks.text)
+    salt: float = setting(
+        defaults.SALT,
+        "Concentration of salt in the solvent, mol/l, as --solvent gbn2 --salt 0.15.",
+        checks.concentration,
+        float,
+        doc="Concentration of salt in the solvent, mol/l, as in :func:`protochain.energy`.",
+    )
     engine: str = setting(defaults.ENGINE, "auto, native or openmm.", checks.text)
     device: str = setting(
         defaults.DEVICE,
@@ -200,6 +208,13 @@ class Setup(Settings):
             )
         if self.rigid_protein:
             object.__setattr__(self, "move", defaults.LIGAND)
+
+    @property
+    def solvent_label(self) -> str:
+        """Name of the solvent model, with its salt."""
+        from protochain.energies.factory import solvent_label
+
+        return solvent_label(self.solvent, self.salt)
 
     @property
     def poses(self) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def energy(
         write_energies(structure, energy, report, between)
     if as_json:
         options.print_json({
-            "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
+            "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": energy.solvent,
             "forcefield": setup.forcefield, "rows": table.to_dict("records"),
             "files": [*map(str, files)],
         })  # fmt: skip

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @with_settings(
-    setup="hinges root move rigid_protein engine device terms solvent cutoff accuracy threads "
+    setup="hinges root move rigid_protein engine device terms solvent salt cutoff accuracy threads "
     "trust_forcefield"
 )
 def ensemble(

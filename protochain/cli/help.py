@@ -13,7 +13,7 @@ _FEW = 5
 _GROUPS = {
     "Structure": "model assembly altloc chains keep exclude disulfide no_disulfide ph strict frames "
     "standard_residues keep_hydrogens",
-    "Force field": "forcefield solvent terms engine cutoff accuracy trust_forcefield",
+    "Force field": "forcefield solvent salt terms engine cutoff accuracy trust_forcefield",
     "Ligands": "ligands ligand_charges ligand_out free_ligands posebusters",
     "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "
     "restraint_csv rank verbose quiet",

@@ -133,7 +133,7 @@ def score(
         write_scored([scores for _, scores in usable], [row for row, _ in usable], report, setup, rank or "")
     conclude(
         rows, {csv: lambda: table_of(rows), residues: lambda: concatenate(of_residues)}, _print, as_json,
-        [report] if report else [], not warnings, interface=interface, rank=rank, solvent=setup.solvent,
+        [report] if report else [], not warnings, interface=interface, rank=rank, solvent=setup.solvent_label,
         forcefield=setup.forcefield,
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ _SHOWN = 10
 
 
 @with_settings(
-    setup="hinges move rigid_protein forcefield solvent engine device cutoff accuracy threads "
+    setup="hinges move rigid_protein forcefield solvent salt engine device cutoff accuracy threads "
     "trust_forcefield terms ligand_charges"
 )
 def validate(

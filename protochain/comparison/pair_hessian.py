@@ -56,7 +56,7 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     first = np.searchsorted(body, np.arange(chain.tree.n_bodies + 1)).astype(np.int64)
     tree = np.array(chain.tree.parent), np.array(chain.tree.v_start), _motions(chain, at, centre)
     matrix, zeros = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
-    solvated: tuple[Any, ...] = (False, zeros, zeros, zeros, zeros, False, zeros)
+    solvated: tuple[Any, ...] = (False, zeros, zeros, zeros, zeros, False, zeros, (0.0, 0.0))
     with ThreadPoolExecutor(energy.threads) as pool:
         share = _shares(pool)
         if terms.solvent is not None:
@@ -163,6 +163,7 @@ def _add_radii(
     offset, radius, scaled = s.offset_radius[by_body], s.radius[by_body], s.scaled_radius[by_body]
     charge, surface, shape = s.charge[by_body], s.surface[by_body], s.bend[by_body]
     integral, slope, bend, of_born, atom_stiffness = np.empty((5, n))
+    salt = s.salt or (0.0, 0.0)
     arguments = *atoms, offset, scaled, bool(s.engulfs), *tree
 
     def derivatives(begin: int, end: int, to: Floats) -> Floats:
@@ -180,14 +181,14 @@ def _add_radii(
 
         def rows(part: tuple[int, int]) -> None:
             to = block[part[0] - begin : part[1] - begin]
-            kernels.couplings(*part, left, right, atoms[0], charge, born, to)
+            kernels.couplings(*part, left, right, atoms[0], charge, born, salt, to)
 
         share(rows, _parts(begin, end))
         return block
 
     derivatives_of_rows = np.empty((min(n, max(_ROWS, n_v // 2, int(_KEPT) // (8 * n_v))), n_v))
     further, mixed = np.empty((2, min(n, _ROWS), n_v))
-    constants = *atoms, charge, surface, born, *tree, of_born, atom_stiffness, mixed
+    constants = *atoms, charge, surface, born, salt, *tree, of_born, atom_stiffness, mixed
     for left in range(0, n, len(derivatives_of_rows)):
         right = min(n, left + len(derivatives_of_rows))
         along = derivatives(left, right, derivatives_of_rows)
@@ -209,7 +210,7 @@ def _add_radii(
         for begin, end in _parts(right, n, _ROWS):
             across = coupling_block(begin, end, left, right) @ along
             _add_product(matrix, derivatives(begin, end, further), across)
-    return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope
+    return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope, salt
 
 
 def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:

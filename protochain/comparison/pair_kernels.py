@@ -30,8 +30,10 @@ Tree = tuple[Integers, Integers, Integers, Floats]
 """Parent, depth and first freedom of each body, and motions of the freedoms."""
 Pairs = tuple[Floats, Integers, Floats, Floats, Integers, Integers, Floats]
 """Charges, Lennard-Jones types, their A and B, and starts, partners and parameters of exceptions."""
-Solvent = tuple[bool, Floats, Floats, Floats, Floats, bool, Floats]
-"""Whether it exists, charges, Born and offset radii, scaled radii, whether spheres engulf, and pulls."""
+Salt = tuple[float, float]
+"""Share of the solvent and kappa, both 0 without salt, as of ``energies.native.implicit.Solvent``."""
+Solvent = tuple[bool, Floats, Floats, Floats, Floats, bool, Floats, Salt]
+"""Whether it exists, charges, Born and offset radii, scaled radii, whether spheres engulf, pulls, salt."""
 
 
 @scalar
@@ -63,22 +65,37 @@ def born_distance(r2: float, radii: float, inverse: float) -> tuple[float, float
 
 
 @scalar
+def screen_slopes(f2: float, by_f: float, salt: Salt) -> tuple[float, float]:
+    """Factors by which salt changes dE/df^2 and d2E/df^2 df^2 of an energy -qq/f, from f^2 and 1/f."""
+    share, kappa = salt
+    if kappa == 0.0:
+        return 1.0, 1.0
+    x = kappa * f2 * by_f
+    decay = share * np.exp(-x)
+    once = 1.0 + share - decay * (1.0 + x)
+    return once, once - decay * x * x / 3.0
+
+
+@scalar
 def born_coupling(
-    r2: float, radii: float, inverse: float, charges: float
+    r2: float, radii: float, inverse: float, charges: float, salt: Salt
 ) -> tuple[float, float, float, float, float]:
     """Terms of a pair's energy E: dE/df^2 and d2E/df^2 df^2, exp(-x) and x, and d2E/dB_i dB_j."""
-    _, by_f, decay, x = born_distance(r2, radii, inverse)
+    f2, by_f, decay, x = born_distance(r2, radii, inverse)
+    once, again = screen_slopes(f2, by_f, salt)
     twice = by_f * by_f
     by_f *= 0.5 * charges * twice
-    twice *= -1.5 * by_f
+    twice *= -1.5 * by_f * again
+    by_f *= once
     grown = decay * (1.0 + x)
     return by_f, twice, decay, x, twice * radii * grown * grown + by_f * decay * (1.0 + x + x * x)
 
 
 @chunk_kernel
 def couplings(
-    begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, block: Floats
-) -> None:
+    begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, salt: Salt,
+    block: Floats,
+) -> None:  # fmt: skip
     """Write d2E/dB dB of the atoms from ``begin`` to ``end`` with those from ``left`` to ``right``."""
     for i in range(begin, end):
         for j in range(left, right):
@@ -86,7 +103,7 @@ def couplings(
             r2, radii = dx * dx + dy * dy + dz * dz, born[i] * born[j]
             far = r2 > 4.0 * _NEGLIGIBLE * radii
             block[i - begin, j - left] = (
-                0.0 if far else born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j])[4]
+                0.0 if far else born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j], salt)[4]
             )
 
 
@@ -124,8 +141,8 @@ def integrals(
 @chunk_kernel
 def born_rows(
     above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, charge: Floats,
-    surface: Floats, born: Floats, parent: Integers, v_start: Integers, motions: Floats, of_born: Floats,
-    stiffness: Floats, along: Floats,
+    surface: Floats, born: Floats, salt: Salt, parent: Integers, v_start: Integers, motions: Floats,
+    of_born: Floats, stiffness: Floats, along: Floats,
 ) -> None:  # fmt: skip
     """Write dE/dB and d2E/dB2 of some atoms, and d2E/dB dq at constant radii, from row ``above`` on."""
     wrench = np.empty((len(parent), 6))
@@ -134,9 +151,10 @@ def born_rows(
         inverse = 1.0 / born[i]
         sixth = surface[i] * inverse**6
         q2 = 0.5 * charge[i] * charge[i]
+        once, again = screen_slopes(born[i] * born[i], inverse, salt)
         slope, second = (
-            (q2 - 6.0 * sixth * born[i]) * inverse**2,
-            (42.0 * sixth - 2.0 * q2 * inverse) * inverse**2,
+            (once * q2 - 6.0 * sixth * born[i]) * inverse**2,
+            (42.0 * sixth - (3.0 * again - once) * q2 * inverse) * inverse**2,
         )
         for c in range(len(parent)):
             gx, gy, gz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -146,7 +164,7 @@ def born_rows(
                 if j == i or r2 > 4.0 * _NEGLIGIBLE * born[i] * born[j]:
                     continue
                 radii = born[i] * born[j]
-                by_f, twice, decay, s, _ = born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j])
+                by_f, twice, decay, s, _ = born_coupling(r2, radii, 1.0 / radii, charge[i] * charge[j], salt)
                 of_i = born[j] * decay * (1.0 + s)
                 slope += by_f * of_i
                 second += twice * of_i * of_i + by_f * born[j] * decay * s * s * inverse
@@ -209,7 +227,7 @@ def pair_sweep(
     parent, depth, v_start, motions = tree
     (x, first), (rows, along, sources, targets) = atoms, sums
     charge, lj_type, a12, b6, partner_start, partner, stiffness = pairs
-    solvated, gb_charge, born, radius, scaled, engulfs, pull = solvent
+    solvated, gb_charge, born, radius, scaled, engulfs, pull, salt = solvent
     over = 1.0 / born
     mark = np.full(len(x), -1, np.int64)
     g, block = np.empty((3, 6)), np.empty(9)
@@ -243,11 +261,12 @@ def pair_sweep(
                     e2 = (42.0 * twelve - 12.0 * six + 0.75 * coulomb) * u * u
                     if solvated:
                         inverse = over[i] * over[j]
-                        _, by_f, decay, _ = born_distance(r2, born[i] * born[j], inverse)
+                        f2, by_f, decay, _ = born_distance(r2, born[i] * born[j], inverse)
+                        once, again = screen_slopes(f2, by_f, salt)
                         over_f2, by_u = by_f * by_f, 1.0 - 0.25 * decay
                         by_f *= 0.5 * gb_charge[i] * gb_charge[j] * over_f2
-                        e1 += by_f * by_u
-                        e2 += by_f * (0.0625 * decay * inverse - 1.5 * by_u * by_u * over_f2)
+                        e1 += by_f * once * by_u
+                        e2 += by_f * (once * 0.0625 * decay * inverse - again * 1.5 * by_u * by_u * over_f2)
                         _, slope, second = screening(r, u, radius[i], scaled[j], engulfs)
                         e1 += 0.5 * pull[i] * slope
                         e2 += 0.25 * pull[i] * (second - slope) * u

@@ -38,7 +38,7 @@ def write_scored(
         library=library(),
         command=command_line(),
         forcefield=setup.forcefield,
-        solvent=setup.solvent,
+        solvent=setup.solvent_label,
         version=version("protochain"),
     )
 

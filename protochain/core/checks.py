@@ -75,7 +75,7 @@ _OPTIONS_OF = {
     "pc.load(file, {}=...)": "model assembly altloc keep disulfide ph strict chains ligands ligand_charges "
     "standard_residues",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
-    "pc.energy(structure, {}=...)": "forcefield solvent engine device cutoff accuracy threads "
+    "pc.energy(structure, {}=...)": "forcefield solvent salt engine device cutoff accuracy threads "
     "trust_forcefield system",
 }
 """Options of a run that the functions with these options decide before it."""
@@ -201,6 +201,14 @@ def cutoff_of(value: Any, name: str) -> Any:
             f"is shorter than contacts between atoms; give {SHORTEST_CUTOFF:g} nm or more, or none",
         )
     return distance
+
+
+def concentration(value: Any, name: str) -> float:
+    """Return a concentration in mol/l, 0 or more, also from a Quantity."""
+    molar = number(plain(value, "mole/liter", name), name)
+    if not 0.0 <= molar < float("inf"):
+        raise refusal(name, f"{molar:g}", "give a concentration in mol/l, 0 or more")
+    return float(molar)
 
 
 def accuracy_of(value: Any, name: str) -> Any:

@@ -4,6 +4,7 @@ from typing import Literal
 
 FORCEFIELD = "amber14"
 SOLVENT = "obc2"
+SALT = 0.0  # mol/l
 ENGINE = "auto"
 DEVICE = "auto"
 DEVICE_FROM, DEVICE_FROM_IN_FRAMES = 5_000, 1_000

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, distance
-from protochain.core.checks import check_arguments, file_name, one_of, optional, text
+from protochain.core.checks import check_arguments, concentration, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import without_none
 from protochain.energies.custom import as_energy
@@ -81,7 +81,9 @@ class Decomposed(Value):
         return dict(zip(TERMS, self.shares.sum(axis=1).tolist(), strict=True))
 
 
-@check_arguments(forcefield=file_name, solvent=text, by=one_of(BY), energy=optional(an_energy))
+@check_arguments(
+    forcefield=file_name, solvent=text, salt=concentration, by=one_of(BY), energy=optional(an_energy)
+)
 def energy_terms(
     source: Any,
     by: str = "term",
@@ -89,6 +91,7 @@ def energy_terms(
     between: Sequence[str] | str | None = None,
     forcefield: str | None = None,
     solvent: str | None = None,
+    salt: float | None = None,
     energy: Energy | None = None,
     **settings: Any,
 ) -> "pd.DataFrame":
@@ -103,7 +106,7 @@ def energy_terms(
     between : two str, or one text, optional
         Two parts of the structure, as ``"A:1-50,B"``, or two selections in the language of MDAnalysis. The
         result is their interaction, with ``residue`` or ``pair`` by residues.
-    forcefield, solvent : str, optional
+    forcefield, solvent, salt : optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
         Any energy whose System the native engine supports, in place of force field and solvent. The default
@@ -139,7 +142,8 @@ def energy_terms(
 
     structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = None if between is None else _parts(structure, between)
-    resolved = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
+    options = without_none(forcefield=forcefield, solvent=solvent, salt=salt)
+    resolved = as_energy(energy, structure, source, **options)
     native = native_of(resolved)
     if native is None:
         raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {resolved.reason}")
@@ -306,7 +310,9 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
     energies |= _exception_energies(terms, x)
     if terms.solvent is not None:
         atoms = np.arange(len(x))[:, None].repeat(2, axis=1)
-        energies["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
+        share, kappa = terms.solvent.salt or (0.0, 0.0)
+        screen = 1.0 + share - share * np.exp(-kappa * born)
+        energies["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born * screen
         energies["surface"] = atoms, terms.solvent.surface / born**6
     for kind, (ends, values) in energies.items():
         if not len(values):
@@ -335,6 +341,7 @@ def _pairs_of_residues(
     nonbonded, solvent, n = terms.nonbonded, terms.solvent, len(start) - 1
     partner_start, partners = partners_of(nonbonded.exceptions.atoms, len(x))
     gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
+    salt = solvent.salt if solvent and solvent.salt else (0.0, 0.0)
     # Rows of the first residues are longer. Each part has the same number of pairs.
     boundaries = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
     begin = np.clip(np.round(boundaries), 0, n).astype(int)
@@ -345,7 +352,7 @@ def _pairs_of_residues(
         residue_sums(
             first, last, start, np.ascontiguousarray(x.T), nonbonded.charge, nonbonded.lj_type, nonbonded.a12,
             nonbonded.b6, partner_start, partners, float(nonbonded.cutoff), float(nonbonded.krf),
-            float(nonbonded.crf), gb_charge, born, float(gb_cutoff), rows,
+            float(nonbonded.crf), gb_charge, born, float(gb_cutoff), *salt, rows,
         )  # fmt: skip
         return first, rows
 

@@ -18,6 +18,7 @@ from protochain.core.checks import (
     accuracy_of,
     at_least,
     check_arguments,
+    concentration,
     cutoff_of,
     file_name,
     flag,
@@ -68,7 +69,10 @@ FORCE_FIELDS = {
 }
 """Short names of force fields bundled with OpenMM. Any other name is a file."""
 
-SOLVENTS = ("vacuum", "obc2", "gbn2")
+SOLVENTS = ("vacuum", "hct", "obc1", "obc2", "gbn", "gbn2")
+
+_DIELECTRIC, _TEMPERATURE = 78.5, 298.15
+"""Dielectric constant of water and temperature (K), as OpenMM assumes for the screening by salt."""
 
 _HETERO_FILES = {
     "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
@@ -90,7 +94,7 @@ TERMS = ("all", "nonbonded")
 dihedrals, impropers and CMAP, for rigid peptide planes that only attract and repel each other."""
 
 
-_FUNCTION = {"forcefield", "solvent", "terms", "cutoff", "system"}
+_FUNCTION = {"forcefield", "solvent", "salt", "terms", "cutoff", "system"}
 """Arguments that define the energy function. The others define how it is computed."""
 
 
@@ -112,12 +116,14 @@ def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[s
         settings["system"] = source_energy.system
     if "forcefield" in arguments:
         settings.pop("trust_forcefield", None)  # Trust in one file does not extend to another.
+    if "system" in arguments or arguments.get("solvent") == "vacuum":
+        settings.pop("salt", None)
     return build(source, **(settings | arguments))
 
 
 @check_arguments(
-    forcefield=file_name, solvent=text, engine=one_of(ENGINES), device=one_of(DEVICES), cutoff=cutoff_of,
-    accuracy=accuracy_of,
+    forcefield=file_name, solvent=text, salt=concentration, engine=one_of(ENGINES),
+    device=one_of(DEVICES), cutoff=cutoff_of, accuracy=accuracy_of,
     threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
@@ -129,6 +135,7 @@ def energy(
     solvent: str = defaults.SOLVENT,
     engine: str = defaults.ENGINE,
     *,
+    salt: float = defaults.SALT,
     device: str = defaults.DEVICE,
     cutoff: float | Literal["auto"] | None = defaults.CUTOFF,
     accuracy: float | Literal["auto", "exact"] = defaults.ACCURACY,
@@ -149,11 +156,17 @@ def energy(
         name of an XML file bundled with OpenMM, or the path of an XML file. Several are separated by commas,
         as ``amber14,ligand.xml``.
     solvent : str
-        ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
-        Simmerling, J. Chem. Theory Comput. 9:2020, 2013).
+        ``vacuum``, or a generalised-Born model: ``obc2``, ``obc1`` (Onufriev, Bashford, Case, Proteins
+        55:383, 2004), ``gbn2`` (Nguyen, Roe, Simmerling, J. Chem. Theory Comput. 9:2020, 2013), ``gbn``
+        (Mongan et al., J. Chem. Theory Comput. 3:156, 2007) or ``hct`` (Hawkins, Cramer, Truhlar,
+        J. Phys. Chem. 100:19824, 1996).
     engine : str
         ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
         ``auto``: native if it supports every force, otherwise openmm. ``reason`` of the energy explains it.
+    salt : float
+        Concentration of a monovalent salt in the solvent, mol/l, also as a Quantity of OpenMM. It screens
+        generalised Born at 298.15 K (Srinivasan et al., Theor. Chem. Acc. 101:426, 1999). Far pairs are then
+        not summed by a tree.
     device : str
         ``cpu``, or ``cuda``, ``hip`` or ``opencl``: an OpenMM platform in mixed precision. The engine then
         judges the end and completes the run. ``auto``: CUDA or HIP, if present, from 5,000 atoms, unless the
@@ -187,7 +200,8 @@ def energy(
     Raises
     ------
     ForceFieldError
-        If a name is unknown, the file would run code, or a residue has no parameters.
+        If a name is unknown, the file would run code, a residue has no parameters, or there is salt without
+        a solvent model.
     UnsupportedForceError
         If the engine is ``native`` and has no exact kernel for a force.
 
@@ -212,8 +226,13 @@ def energy(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
+    if system is not None and salt:
+        raise ForceFieldError(
+            Argument("salt", salt), " is of a named solvent; build the System with implicitSolventKappa"
+        )
     is_free = accuracy == "auto" and cutoff == "auto"
-    rule = _rule_of(engine, solvent, structure.n_atoms) if is_free else _EXACT
+    # No tree sums pairs that salt screens.
+    rule = _rule_of("openmm" if salt else engine, solvent, structure.n_atoms) if is_free else _EXACT
     accuracy = rule.accuracy if accuracy == "auto" else accuracy
     cutoff = rule.cutoff if cutoff == "auto" else cutoff
     device = "cpu" if engine == "native" else choose_device(device, structure.n_atoms)
@@ -222,13 +241,15 @@ def energy(
         if system is not None:
             note = "System given by the caller"
             return OpenMMEnergy(copy.deepcopy(system), threads=threads, note=note, settings=settings)
-        built = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
+        built = build_system(structure, forcefield, solvent, trust_forcefield, cutoff, salt)
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
-        note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml" if solvent == "obc2" else ""
+        if solvent == "obc2" and not salt:
+            note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"
         if terms == "nonbonded":
             _remove_torsions(built)
         label = forcefield + NONBONDED if terms == "nonbonded" else forcefield
-        return OpenMMEnergy(built, "CPU", threads, label, solvent, note, structure.fingerprint, settings)
+        name = solvent_label(solvent, salt)
+        return OpenMMEnergy(built, "CPU", threads, label, name, note, structure.fingerprint, settings)
 
     reference = by_openmm(cutoff)
     potential = choose_engine(engine, reference)
@@ -287,6 +308,7 @@ def build_system(
     solvent: str = defaults.SOLVENT,
     trust_forcefield: bool = False,
     cutoff: float | None = None,
+    salt: float = defaults.SALT,
 ) -> openmm.System:
     """Build the OpenMM System of a structure from the files of the force field.
 
@@ -300,11 +322,13 @@ def build_system(
         As for :func:`energy`.
     cutoff : float, optional
         As for :func:`energy`, none by default.
+    salt : float
+        As for :func:`energy`.
 
     Returns
     -------
     openmm.System
-        Obstacles have no mass, so that OpenMM does not move them. OBC2 is a GBSAOBCForce.
+        Obstacles have no mass, so that OpenMM does not move them. OBC2 without salt is a GBSAOBCForce.
 
     Raises
     ------
@@ -313,6 +337,9 @@ def build_system(
     """
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
+    if salt and solvent == "vacuum":
+        models = ", ".join(SOLVENTS[1:])
+        raise ForceFieldError(Argument("salt", salt), f" needs a solvent, not vacuum; choose from {models}")
     pairs: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if cutoff is not None:
         pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
@@ -331,8 +358,10 @@ def build_system(
         files += [strand_junctions(*strands)] if len(strands) == 2 and _has_junctions(structure) else []
     if structure.glycans and HAS_GLYCAM in parts:
         files.append(parameters(frozenset(structure.glycans.values())))
-    if solvent == "gbn2":
-        files.append(str(DATA / "implicit/gbn2.xml"))
+    if salt:
+        pairs["implicitSolventKappa"] = debye_kappa(salt)
+    is_by_file = solvent != "vacuum" and (solvent != "obc2" or bool(salt))
+    files += [str(DATA / f"implicit/{solvent}.xml")] if is_by_file else []
     try:
         # A user's file may change between calls, and a trusted file may raise any exception.
         force_field = _force_field(*files) if None in bundled else _bundled_force_field(*files)
@@ -340,7 +369,7 @@ def build_system(
             system = create_system(structure, force_field, lambda: _force_field(*files), pairs)
         else:
             system = force_field.createSystem(structure.topology, rigidWater=False, **pairs)
-        if solvent == "obc2":
+        if solvent == "obc2" and not is_by_file:
             _add_obc2(system, structure, cutoff)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
@@ -353,6 +382,20 @@ def build_system(
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def debye_kappa(salt: float) -> float:
+    """Screening parameter in 1/nm of a monovalent salt in mol/l, as OpenMM computes it for generalised Born.
+
+    The factor 0.73 accounts for the size of the ions: Srinivasan, Trevathan, Beroza, Case, Theor. Chem. Acc.
+    101:426 (1999).
+    """
+    return float(50.33355 * np.sqrt(salt / _DIELECTRIC / _TEMPERATURE) * 7.3)
+
+
+def solvent_label(solvent: str, salt: float) -> str:
+    """Name of a solvent model, with its salt if there is one."""
+    return f"{solvent} with {salt:g} mol/l salt" if salt else solvent
 
 
 def _has_junctions(structure: Structure) -> bool:
@@ -472,7 +515,7 @@ def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None)
         raise ValueError("OBC2 needs a NonbondedForce with the charges")
     nonbonded[0].setReactionFieldDielectric(1.0)
     force = openmm.GBSAOBCForce()
-    force.setSolventDielectric(78.5)
+    force.setSolventDielectric(_DIELECTRIC)
     force.setSoluteDielectric(1.0)
     force.setNonbondedMethod(force.NoCutoff if cutoff is None else force.CutoffNonPeriodic)
     if cutoff is not None:

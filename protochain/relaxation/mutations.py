@@ -184,7 +184,10 @@ def protocol(options: Mapping[str, Any], source: Any = None) -> tuple[RelaxSetti
         raise ProtochainError(
             "mutate: the energy of this result is of its own atoms; name a ", Argument("forcefield")
         )
-    return split({**PROTOCOL, **{name: base[name] for name in OF_ENERGY if name in base}, **options})
+    inherited = {name: base[name] for name in OF_ENERGY if name in base}
+    if options.get("solvent") == "vacuum":
+        inherited.pop("salt", None)
+    return split({**PROTOCOL, **inherited, **options})
 
 
 def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int, str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, means_by
-from protochain.core.checks import check_arguments, file_name, optional, text
+from protochain.core.checks import check_arguments, concentration, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
@@ -205,7 +205,7 @@ class Interface(Value):
 
 
 @check_arguments(
-    first=text, second=text, forcefield=file_name, solvent=text,
+    first=text, second=text, forcefield=file_name, solvent=text, salt=concentration,
     energy=optional(an_energy),
 )  # fmt: skip
 def score_interface(
@@ -215,6 +215,7 @@ def score_interface(
     *,
     forcefield: str | None = None,
     solvent: str | None = None,
+    salt: float | None = None,
     energy: Energy | None = None,
     **settings: Any,
 ) -> Interface:
@@ -228,7 +229,7 @@ def score_interface(
         Chains of either side, as ``"A"`` or ``"A,B"``, with the molecules of the same chain names. Or
         selections in the language of MDAnalysis, as ``"resname LIG"``, whose residues the other side's chains
         do not have. Waters count for neither side. Other molecules are skipped.
-    forcefield, solvent : str, optional
+    forcefield, solvent, salt : optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
         In place of the energy of this force field and solvent. The native engine must support its System. By
@@ -260,7 +261,8 @@ def score_interface(
     """
     structure = as_structure(source, **without_none(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)
-    function = as_energy(energy, structure, source, **without_none(forcefield=forcefield, solvent=solvent))
+    options = without_none(forcefield=forcefield, solvent=solvent, salt=salt)
+    function = as_energy(energy, structure, source, **options)
     paths = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
     return score_sides(structure, as_native(function), first, second, parts, read_scores(paths))
 

@@ -19,6 +19,8 @@ from protochain.comparison.pair_kernels import screening
         ("1l2y.pdb", "phi psi omega chi rotors angles", {"solvent": "vacuum"}),
         ("3i40.pdb", "phi psi", {"forcefield": "amber19"}),
         ("ala10.pdb", "phi psi", {"forcefield": "charmm36", "solvent": "vacuum"}),
+        ("3i40.pdb", "phi psi", {"salt": 0.3}),
+        ("ala10.pdb", "phi psi chi", {"solvent": "hct", "salt": 3.0}),
     ],
 )
 def test_it_is_that_of_differences(name, hinges, options):

@@ -14,9 +14,14 @@ from protochain.core import defaults
 from protochain.energies.custom import CustomEnergy
 from protochain.energies.decomposed import TERMS, decomposed, terms_at
 
-CASES = [("1l2y.pdb", "amber19", "obc2"), ("3i40.pdb", "amber14", "gbn2"), ("3i40.pdb", "charmm36", "vacuum"),
-         ("1ysa.pdb", "amber14", "obc2")]  # fmt: skip
-built = functools.cache(lambda name, *of: pc.energy(load(name), *of, "native"))
+CASES = [
+    ("1l2y.pdb", "amber19", "obc2", 0.0),
+    ("3i40.pdb", "amber14", "gbn2", 0.0),
+    ("3i40.pdb", "charmm36", "vacuum", 0.0),
+    ("1ysa.pdb", "amber14", "obc2", 0.0),
+    ("3i40.pdb", "amber14", "gbn2", 0.3),
+]
+built = functools.cache(lambda name, *of, salt: pc.energy(load(name), *of, "native", salt=salt))
 
 
 def of_reference(system, x):
@@ -36,9 +41,9 @@ def of_reference(system, x):
     return found
 
 
-@pytest.mark.parametrize(("name", "forcefield", "solvent"), CASES)
-def test_terms_are_those_of_openmms_forces_and_add_up_to_the_total(name, forcefield, solvent):
-    s, energy = load(name), built(name, forcefield, solvent)
+@pytest.mark.parametrize(("name", "forcefield", "solvent", "salt"), CASES)
+def test_terms_are_those_of_openmms_forces_and_add_up_to_the_total(name, forcefield, solvent, salt):
+    s, energy = load(name), built(name, forcefield, solvent, salt=salt)
     found = decomposed(s, energy, s.positions).terms
     largest = max(map(abs, found.values()))
     assert sum(found.values()) == pytest.approx(energy(s.positions)[0], abs=1e-10 * largest)
@@ -71,22 +76,29 @@ def test_coulomb_is_what_charges_do_and_lennard_jones_the_rest():
     assert decomposed(s, energy, s.positions).terms["lennard_jones"] == pytest.approx(uncharged, rel=1e-10)
 
 
-def test_pairs_of_residues_are_sums_over_their_atoms():
+@pytest.mark.parametrize("salt", [0.0, 0.3])
+def test_pairs_of_residues_are_sums_over_their_atoms(salt):
     """Slow and clear: each pair of atoms that is no exception, and no shape of loops shared."""
     s = load("ala10.pdb")
-    energy = pc.energy(s, "amber14", "obc2", "native")
+    energy = pc.energy(s, "amber14", "obc2", "native", salt=salt)
+    kappa = 7.3 * 50.33355 * np.sqrt(salt / 78.5 / 298.15)
+
+    def screened(distance):
+        """-1/distance of charges scaled by the root of 1 - 1/78.5."""
+        return (1.0 - np.exp(-kappa * distance) / 78.5) / (1.0 - 1.0 / 78.5) / distance
+
     terms, x, of = energy.terms, s.positions, s.atom_residue
     nonbonded, solvent, born = terms.nonbonded, terms.solvent, energy.born_radii(s.positions)
     found = decomposed(s, energy, x, pairs=True)
     own = {frozenset(pair) for pair in nonbonded.exceptions.atoms.tolist()}
     lj, coulomb, polar = np.zeros((3, s.n_residues, s.n_residues))
     for i in range(s.n_atoms):
-        polar[of[i], of[i]] -= 0.5 * solvent.charge[i] ** 2 / born[i]
+        polar[of[i], of[i]] -= 0.5 * solvent.charge[i] ** 2 * screened(born[i])
         for j in range(i + 1, s.n_atoms):
             r2, place = float(np.sum((x[i] - x[j]) ** 2)), (of[i], of[j])
             both = born[i] * born[j]
             f = np.sqrt(r2 + both * np.exp(-0.25 * r2 / both))
-            polar[place] -= solvent.charge[i] * solvent.charge[j] / f
+            polar[place] -= solvent.charge[i] * solvent.charge[j] * screened(f)
             if {i, j} not in own:
                 kinds = nonbonded.lj_type[i], nonbonded.lj_type[j]
                 lj[place] += nonbonded.a12[kinds] / r2**6 - nonbonded.b6[kinds] / r2**3
@@ -101,9 +113,9 @@ def test_pairs_of_residues_are_sums_over_their_atoms():
         assert np.abs(mine - expected).max() < 1e-10 * np.abs(expected).max(), name
 
 
-@pytest.mark.parametrize(("name", "forcefield", "solvent"), CASES)
-def test_shares_are_halves_of_pairs_and_add_up(name, forcefield, solvent):
-    s, energy = load(name), built(name, forcefield, solvent)
+@pytest.mark.parametrize(("name", "forcefield", "solvent", "salt"), CASES)
+def test_shares_are_halves_of_pairs_and_add_up(name, forcefield, solvent, salt):
+    s, energy = load(name), built(name, forcefield, solvent, salt=salt)
     found = decomposed(s, energy, s.positions, pairs=True)
     total = energy(s.positions)[0]
     assert found.pairs.sum() == pytest.approx(total, abs=1e-10 * np.abs(found.pairs).sum())
@@ -114,17 +126,18 @@ def test_shares_are_halves_of_pairs_and_add_up(name, forcefield, solvent):
     assert not np.tril(found.pairs.any(axis=0), -1).any()
 
 
-def test_the_interaction_of_chains_and_what_the_solvent_costs_are_the_change_of_the_whole():
+@pytest.mark.parametrize("salt", [0.0, 0.3])
+def test_the_interaction_of_chains_and_what_the_solvent_costs_are_the_change_of_the_whole(salt):
     """Insulin's chains without their disulfides: energy together minus energies of either alone."""
     s = pc.load(STRUCTURES / "3i40.pdb", disulfide="none")
-    energy = pc.energy(s, "amber14", "obc2", "native")
+    energy = pc.energy(s, "amber14", "obc2", "native", salt=salt)
     table = pc.energy_terms(s, between="A,B", energy=energy)
     alone = 0.0
     for letter in ("A", "B"):
         part = pc.load(STRUCTURES / "3i40.pdb", disulfide="none", chains=letter)
         mine = np.flatnonzero(s.residue_chain[s.atom_residue] == letter)
         assert (part.atom_name == s.atom_name[mine]).all()
-        alone += pc.energy(part, "amber14", "obc2", "native")(s.positions[mine])[0]
+        alone += pc.energy(part, "amber14", "obc2", "native", salt=salt)(s.positions[mine])[0]
     assert table.loc["sum", "total"] == pytest.approx(energy(s.positions)[0] - alone, abs=1e-6)
     pairs = pc.energy_terms(s, "pair", between=("chainID A", "chainID B"), energy=energy)
     assert pairs["total"].sum() == pytest.approx(table.loc["interaction", "total"], abs=1e-9)

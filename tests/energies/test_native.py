@@ -91,12 +91,16 @@ def test_every_term_equals_the_reference_platforms(name, forcefield, solvent):
     assert_same(native, native.system, shaken(s))
 
 
-def implicit_system(name, model, cutoff=None):
+KAPPA = 7.3 * 50.33355 * (0.15 / 78.5 / 298.15) ** 0.5
+"""1/nm, at 0.15 mol/l, as AmberPrmtopFile.createSystem computes it from a concentration."""
+
+
+def implicit_system(name, model, cutoff=None, **more):
     force_field = app.ForceField("amber14/protein.ff14SB.xml", *([f"implicit/{model}.xml"] if model else []))
     method = {"nonbondedMethod": app.NoCutoff}
     if cutoff:
         method = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
-    return force_field.createSystem(structure(name).topology, **method)
+    return force_field.createSystem(structure(name).topology, **method, **more)
 
 
 @pytest.mark.parametrize("model", ["hct", "obc1", "obc2", "gbn", "gbn2"])
@@ -105,6 +109,33 @@ def test_every_implicit_model_as_the_force_field_builds_it(model, cutoff):
     system = implicit_system("1l2y.pdb", model, cutoff)
     s = load("1l2y.pdb")
     assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("model", ["hct", "obc1", "obc2", "gbn", "gbn2"])
+@pytest.mark.parametrize("cutoff", [None, 1.0])
+@pytest.mark.parametrize("salt", [0.0, 0.15])
+def test_named_solvents_and_salt_equal_the_files_of_openmm(model, cutoff, salt):
+    s, more = load("1l2y.pdb"), {"implicitSolventKappa": KAPPA} if salt else {}
+    native = pc.energy(s, solvent=model, salt=salt, cutoff=cutoff, engine="native")
+    assert_same(native, implicit_system("1l2y.pdb", model, cutoff, **more), shaken(s))
+
+
+@pytest.mark.parametrize("solvent", ["obc2", "gbn2"])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW[name != "3i40.pdb"]) for name in TEN])
+def test_salt_equals_the_reference_platform(name, solvent):
+    s = structure(name)
+    native = pc.energy(s, solvent=solvent, salt=0.5, engine="native")
+    assert_same(native, native.system, shaken(s))
+    plain, salted = (e(s.positions)[0] for e in (pc.energy(s, solvent=solvent, engine="native"), native))
+    assert salted < plain - 1.0
+
+
+def test_little_salt_is_no_salt():
+    s = load("1l2y.pdb")
+    value, forces = pc.energy(s, engine="native")(s.positions)
+    salted, pushes = pc.energy(s, salt=1e-16, engine="native")(s.positions)
+    assert salted == pytest.approx(value, abs=1e-5)
+    assert np.linalg.norm(pushes - forces) < 1e-6 * np.linalg.norm(forces)
 
 
 def test_gbsa_obc_force_with_a_cutoff():
@@ -121,10 +152,12 @@ def test_gbsa_obc_force_with_a_cutoff():
     assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
 
 
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
-def test_forces_are_minus_the_gradient(solvent):
+@pytest.mark.parametrize(
+    ("solvent", "salt"), [("vacuum", 0.0), ("obc2", 0.0), ("gbn2", 0.0), ("obc2", 0.3), ("gbn2", 0.3)]
+)
+def test_forces_are_minus_the_gradient(solvent, salt):
     s = load("1l2y.pdb")
-    e, x = pc.energy(s, "amber19", solvent, engine="native"), shaken(s)
+    e, x = pc.energy(s, "amber19", solvent, salt=salt, engine="native"), shaken(s)
     _, f = e(x)
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -194,10 +227,10 @@ def test_pairs_of_a_table_are_added_to_the_lennard_jones_of_nonbonded_force():
     assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
 
 
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
-def test_atoms_on_top_of_one_another_give_large_numbers(solvent):
+@pytest.mark.parametrize(("solvent", "salt"), [("vacuum", 0.0), ("obc2", 0.0), ("gbn2", 0.0), ("gbn2", 0.15)])
+def test_atoms_on_top_of_one_another_give_large_numbers(solvent, salt):
     s = load("1l2y.pdb")
-    e, x = pc.energy(s, solvent=solvent, engine="native"), s.positions.copy()
+    e, x = pc.energy(s, solvent=solvent, salt=salt, engine="native"), s.positions.copy()
     for apart in (0.0, 1e-9, 1e-5, 1e-2):
         x[200] = x[20] + [apart, 0, 0]
         value, forces = e(x)
@@ -297,9 +330,9 @@ def with_other_dielectric(force):
     )
 
 
-def custom_gb(old, new, change=lambda system: None):
+def custom_gb(old, new, change=lambda system: None, **more):
     """The standard GBn2 force with one expression changed."""
-    system = implicit_system("ala10.pdb", "gbn2")
+    system = implicit_system("ala10.pdb", "gbn2", **more)
     (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomGBForce))
     for i in range(force.getNumComputedValues()):
         name, expression, kind = force.getComputedValueParameters(i)
@@ -386,6 +419,9 @@ UNKNOWN = {
     "CustomGBForce with Born integral": lambda: custom_gb("neckCut=0.68", "neckCut=0.7"),
     "CustomGBForce with Born radius": lambda: custom_gb("tanh(", "sin("),
     "CustomGBForce with energy": lambda: custom_gb("kappa=0", "kappa=1"),
+    "generalised Born with salt and one dielectric": lambda: custom_gb(
+        "Dielectric=78.5", "Dielectric=1", implicitSolventKappa=1.0
+    ),
     "GBSAOBCForce or CustomGBForce with a cutoff of 1 nm": lambda: changed(
         "obc2", openmm.NonbondedForce, lambda force: force.setCutoffDistance(1.2)
     ),

@@ -6,6 +6,8 @@ Bashford, Case, Proteins 55:383 (2004). If atom j is wholly outside atom i, its 
 without logarithm or root. The few nearer pairs come from a list.
 """
 
+from typing import Any
+
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
@@ -96,21 +98,28 @@ def add_integrals(
 
 @chunk_kernel
 def polar_sums(
-    chunks: Share, atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats
+    chunks: Share, atoms: Floats, tiles: Integers, cutoff: float, salt: Any, sums: Floats, energies: Floats
 ) -> None:
     """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums."""
     # -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
-    # (1990), equation 3.
+    # (1990), equation 3. Salt multiplies it by 1 + w (1 - exp(-kappa f)): Srinivasan, Trevathan, Beroza,
+    # Case, Theor. Chem. Acc. 101:426 (1999).
     for c in range(*chunks):
         begin, end = part(len(tiles), c)
         energy, rows = 0.0, np.empty(3 * W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             masked = i == j or cutoff < np.inf
-            energy -= _polar_tile(
-                atoms[i], atoms[j], i == j, masked, cutoff * cutoff, 1.0 / cutoff, rows, sums[c, i],
-                sums[c, j],
-            )  # fmt: skip
+            if salt is None:
+                energy -= _polar_tile(
+                    atoms[i], atoms[j], i == j, masked, cutoff * cutoff, 1.0 / cutoff, rows, sums[c, i],
+                    sums[c, j],
+                )  # fmt: skip
+            else:
+                energy -= _salted_tile(
+                    atoms[i], atoms[j], i == j, cutoff * cutoff, 1.0 / cutoff, *salt, rows, sums[c, i],
+                    sums[c, j],
+                )  # fmt: skip
         energies[c] += energy
 
 
@@ -120,8 +129,16 @@ def _polar_tile(
     a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
     if masked:
-        return add_polar(a, b, same, True, cutoff2, shift, rows, a_sums, b_sums)
-    return add_polar(a, b, same, False, cutoff2, shift, rows, a_sums, b_sums)
+        return add_polar(a, b, same, True, False, cutoff2, shift, 0.0, 0.0, rows, a_sums, b_sums)
+    return add_polar(a, b, same, False, False, cutoff2, shift, 0.0, 0.0, rows, a_sums, b_sums)
+
+
+@tile_kernel
+def _salted_tile(
+    a: Floats, b: Floats, same: bool, cutoff2: float, shift: float, share: float, kappa: float, rows: Floats,
+    a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    return add_polar(a, b, same, True, True, cutoff2, shift, share, kappa, rows, a_sums, b_sums)
 
 
 @variant
@@ -141,8 +158,8 @@ def _decays(a: Floats, i: int, b: Floats, rows: Floats) -> None:
 
 @variant
 def add_polar(
-    a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
-    a_sums: Floats, b_sums: Floats,
+    a: Floats, b: Floats, same: bool, masked: bool, salted: bool, cutoff2: float, shift: float, share: float,
+    kappa: float, rows: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
     """Add forces and 2 dE/dB, and return minus the energy."""
     # Two loops, with ``rows`` between them: the processor executes shorter chains of dependences in parallel.
@@ -157,10 +174,17 @@ def add_polar(
             inverse_f, qq = inverse_root(rows[j]), qi * b[GB_CHARGE * W + j]
             if masked:
                 qq = qq if (dx * dx + dy * dy + dz * dz < cutoff2) & (j > first) else 0.0
-                energy -= qq * shift
+                if not salted:
+                    energy -= qq * shift
             pair = qq * inverse_f
-            energy += pair
-            cube = pair * (inverse_f * inverse_f)
+            if salted:
+                decay = share * power_of_two(kappa * -_LOG2E * rows[j] * inverse_f)
+                screen = 1.0 + share - decay
+                energy += qq * screen * (inverse_f - shift)
+                cube = pair * (screen * inverse_f * inverse_f - kappa * decay * (inverse_f - shift))
+            else:
+                energy += pair
+                cube = pair * (inverse_f * inverse_f)
             f = cube - 0.25 * cube * rows[W + j]
             with_born = cube * rows[2 * W + j]
             slope += with_born * b[BORN * W + j]
@@ -335,8 +359,9 @@ def put_born_radii(
 
 @scalar
 def add_self_energy(
-    begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
-) -> tuple[float, float]:
+    begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, salt: Any,
+    with_born: Floats,
+) -> tuple[float, float]:  # fmt: skip
     """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms. 2 dE/dB becomes dE/d(integral)."""
     # Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     polar, area = 0.0, 0.0
@@ -345,7 +370,13 @@ def add_self_energy(
         inverse = 2.0 * atoms[block, HALF_INVERSE_BORN * W + k]
         q2 = gb_charge[i] * gb_charge[i]
         sixth = surface[i] * inverse**6
-        polar -= 0.5 * q2 * inverse
+        if salt is None:
+            polar -= 0.5 * q2 * inverse
+        else:
+            share, kappa = salt
+            decay = share * np.exp(-kappa / inverse)
+            polar -= 0.5 * q2 * inverse * (1.0 + share - decay)
+            q2 *= 1.0 + share - decay * (1.0 + kappa / inverse)
         area += sixth
         of_born = 0.5 * (with_born[i] + q2 * inverse * inverse) - 6.0 * sixth * inverse
         with_born[i] = of_born * slope[i]

@@ -141,6 +141,8 @@ class NativeEnergy:
         terms, cause = self._layout.terms, "no tree is as accurate as asked"
         if terms.nonbonded.cutoff < np.inf or (terms.solvent and terms.solvent.cutoff < np.inf):
             cause = "the System has a cutoff"
+        elif terms.solvent and terms.solvent.salt:
+            cause = "salt screens far pairs"
         elif not same_charge(terms):
             cause = "generalised Born has other charges than Coulomb"
         elif n_blocks(terms.n_atoms) < FEWEST_BLOCKS:

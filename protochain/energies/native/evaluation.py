@@ -173,7 +173,7 @@ def arguments(
     map_terms = _views(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
     listed = kinds, *_views(lists.free), exceptions, *bonded, map_terms
     if solvent is None:
-        return state, vacuum, listed, None, None, tree_part
+        return state, vacuum, listed, None, None, tree_part, None
     per_atom = (
         *_views(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_views(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -181,9 +181,9 @@ def arguments(
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = per_atom, _views(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, listed, born, None, tree_part
+        return state, vacuum, listed, born, None, tree_part, solvent.salt
     necks = *_views(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.neck_reach
-    return state, vacuum, listed, born, necks, tree_part
+    return state, vacuum, listed, born, necks, tree_part, solvent.salt
 
 
 def _views(*arrays: Any) -> tuple[Any, ...]:

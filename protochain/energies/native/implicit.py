@@ -48,6 +48,8 @@ class Solvent:
     engulfs: bool  # Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
     necks: Necks | None
     cutoff: float  # nm.
+    # Share w of the solvent and kappa (1/nm) of the factor 1 + w (1 - exp(-kappa f)), None without salt.
+    salt: tuple[float, float] | None = None
 
 
 def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
@@ -88,12 +90,12 @@ _PLAIN_RADIUS = "1/(1/or-I)"
 _BENT_RADIUS = re.compile(rf"1/\(1/or-tanh\((.+)\)/radius\);psi=I\*or;radius=or\+offset;offset={_NUMBER}")
 _BEND = re.compile(rf"(?:(alpha|{_NUMBER})\*)?psi(?:-(beta|{_NUMBER})\*psi\^2)?\+(gamma|{_NUMBER})\*psi\^3")
 _PARAMETERS = re.compile(
-    rf";solventDielectric={_NUMBER};soluteDielectric={_NUMBER};kappa=0;offset={_NUMBER}(?:;cutoff={_NUMBER})?"
+    rf";solventDielectric={_NUMBER};soluteDielectric={_NUMBER};kappa={_NUMBER};offset={_NUMBER}(?:;cutoff={_NUMBER})?$"
 )
-_POLAR = "*138.935485*(1/soluteDielectric-1/solventDielectric)*"
-_SELF = "-0.5" + _POLAR + "charge^2/B"
+_POLAR = "138.935485*(1/soluteDielectric-{}/solventDielectric)*"
+_SELF = "-0.5*" + _POLAR + "charge^2/B"
 _SURFACE = "28.3919551*(radius+0.14)^2*(radius/B)^6;radius=or+offset"
-_PAIR = "-138.935485*(1/soluteDielectric-1/solventDielectric)*charge1*charge2"
+_PAIR = "-" + _POLAR + "charge1*charge2"
 _F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
@@ -111,13 +113,15 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     if [(name, kind) for name, _, kind in values] != [("I", pairs), ("B", single)]:
         raise UnsupportedForceError("CustomGBForce that is none of HCT, OBC1, OBC2, GBn and GBn2")
     bend, radius = _bend(strip(values[1][1]), columns)
-    polar, area = _energy_terms([(strip(expression), kind) for expression, kind in terms], cutoff, force)
+    polar, area, salt = _energy_terms(
+        [(strip(expression), kind) for expression, kind in terms], cutoff, force
+    )
     surface = np.zeros(len(table))
     if area is not None:
         surface = _AREA_CUSTOM * (columns["or"] + area + _PROBE) ** 2 * (columns["or"] + area) ** 6
     return Solvent(
         columns["charge"] * np.sqrt(COULOMB_CUSTOM * polar), columns["or"], columns["sr"], radius, bend,
-        surface, False, _necks(strip(values[0][1]), columns, force), cutoff,
+        surface, False, _necks(strip(values[0][1]), columns, force), cutoff, salt,
     )  # fmt: skip
 
 
@@ -140,28 +144,32 @@ def _bend(expression: str, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
 
 def _energy_terms(
     terms: list[tuple[str, int]], cutoff: float, force: openmm.CustomGBForce
-) -> tuple[float, float | None]:
-    """Difference of inverse dielectrics, and the surface term's radius offset if there is one."""
+) -> tuple[float, float | None, tuple[float, float] | None]:
+    """Difference of inverse dielectrics, the radius offset of a surface term, and the salt."""
     shift = "/f" if cutoff == np.inf else f"*(1/f-{1 / cutoff})"
-    expressions = {
-        (_SELF, force.SingleParticle): "self",
-        (_SURFACE, force.SingleParticle): "surface",
-        (_PAIR + shift + _F, force.ParticlePairNoExclusions): "pair",
-    }
     matches: dict[str, re.Match[str]] = {}
     for expression, kind in terms:
         tail = _PARAMETERS.search(expression)
-        head = expression[: tail.start()] if tail and tail.end() == len(expression) else expression
-        name = expressions.get((head, kind))
+        is_salted = tail is not None and float(tail[3]) > 0.0
+        decays = [f"exp(-kappa*{distance})" if is_salted else "1" for distance in "Bf"]
+        expressions = {
+            (_SELF.format(decays[0]), force.SingleParticle): "self",
+            (_SURFACE, force.SingleParticle): "surface",
+            (_PAIR.format(decays[1]) + shift + _F, force.ParticlePairNoExclusions): "pair",
+        }
+        name = tail and expressions.get((expression[: tail.start()], kind))
         if tail is None or name is None or name in matches:
             raise UnsupportedForceError(f"CustomGBForce with energy {expression!r}")
         matches[name] = tail
-    dielectrics = {tail.groups()[:2] for tail in matches.values()}
-    if not {"self", "pair"} <= set(matches) or len(dielectrics) != 1:
+    constants = {tail.groups()[:3] for tail in matches.values()}
+    if not {"self", "pair"} <= set(matches) or len(constants) != 1:
         raise UnsupportedForceError("CustomGBForce without the usual polar terms")
-    outside, inside = (float(text) for text in dielectrics.pop())
-    area = float(matches["surface"][3]) if "surface" in matches else None
-    return _polar(inside, outside), area
+    outside, inside, kappa = (float(text) for text in constants.pop())
+    area = float(matches["surface"][4]) if "surface" in matches else None
+    polar = _polar(inside, outside)
+    if kappa > 0.0 and polar == 0.0:
+        raise UnsupportedForceError("generalised Born with salt and one dielectric")
+    return polar, area, (1.0 / outside / polar, kappa) if kappa > 0.0 else None
 
 
 def _necks(expression: str, columns: dict[str, Floats], force: openmm.CustomGBForce) -> Necks | None:

@@ -19,7 +19,7 @@ _LOG2E = float(1.0 / np.log(2.0))
 def residue_sums(
     first: int, last: int, start: Integers, x: Floats, charge: Floats, lj_type: Integers, a12: Floats,
     b6: Floats, partner_start: Integers, partners: Integers, cutoff: float, krf: float, crf: float,
-    gb_charge: Floats, born: Floats, gb_cutoff: float, matrix: Floats,
+    gb_charge: Floats, born: Floats, gb_cutoff: float, share: float, kappa: float, matrix: Floats,
 ) -> None:  # fmt: skip
     """Put the energies of the pairs of residues first to last with all that follow, and within them."""
     # ``start`` (nr + 1,) are the first atoms of the residues, ``x`` is (3, na). ``partners`` of atom i, from
@@ -39,8 +39,10 @@ def residue_sums(
                 lj, coulomb = _pairs(i, begin, end, x, charge, lj_type, a, b, free, cutoff, krf, crf)
                 row[LENNARD_JONES, s] += lj
                 row[COULOMB, s] += coulomb
-                if len(born):
-                    row[POLAR, s] += _polar(i, begin, end, x, gb_charge, born, gb_cutoff)
+                if kappa > 0.0:
+                    row[POLAR, s] += _polar(i, begin, end, x, gb_charge, born, gb_cutoff, True, share, kappa)
+                elif len(born):
+                    row[POLAR, s] += _polar(i, begin, end, x, gb_charge, born, gb_cutoff, False, 0.0, 0.0)
             for k in range(partner_start[i], partner_start[i + 1]):
                 free[partners[k]] = 1.0
         for kind in range(3):
@@ -67,7 +69,8 @@ def _pairs(
 
 @variant
 def _polar(
-    i: int, begin: int, end: int, x: Floats, gb_charge: Floats, born: Floats, cutoff: float
+    i: int, begin: int, end: int, x: Floats, gb_charge: Floats, born: Floats, cutoff: float, salted: bool,
+    share: float, kappa: float,
 ) -> float:  # fmt: skip
     """Generalised-Born energy of an atom with consecutive ones."""
     xi, yi, zi, energy = x[0, i], x[1, i], x[2, i], 0.0
@@ -77,5 +80,8 @@ def _polar(
         r2 = dx * dx + dy * dy + dz * dz
         born_product = born[i] * born[j]
         inverse_f = inverse_root(r2 + born_product * power_of_two(-_LOG2E * 0.25 * r2 / born_product))
-        energy -= gb_charge[j] * (inverse_f - shift) if r2 < cutoff * cutoff else 0.0
+        term = gb_charge[j] * (inverse_f - shift)
+        if salted:
+            term *= 1.0 + share - share * power_of_two(-_LOG2E * kappa / inverse_f)
+        energy -= term if r2 < cutoff * cutoff else 0.0
     return gb_charge[i] * energy

@@ -54,7 +54,8 @@ BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SU
 
 @chunk_kernel
 def work(
-    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any
+    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any,
+    salt: Any,
 ) -> None:  # fmt: skip
     """Do tasks. The leading thread stops after its energy, a helper if no task has come for a while."""
     buffer = np.empty(2, np.int64)
@@ -73,7 +74,7 @@ def work(
         if load(counters, NEXT) < load(counters, OPEN):
             waited += ticks(buffer) - since if looks else 0
             looks = 0
-            did += take(counters, state, vacuum, terms, solvent, necks, far)
+            did += take(counters, state, vacuum, terms, solvent, necks, far, salt)
             continue
         if looks == 0:
             since = ticks(buffer)
@@ -89,7 +90,9 @@ def work(
 
 
 @inline_kernel
-def take(counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any) -> bool:
+def take(
+    counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any, salt: Any
+) -> bool:  # fmt: skip
     """Do the next task, if one is open, and return whether there was one."""
     task = load(counters, NEXT)
     if task >= load(counters, OPEN) or not replace(counters, NEXT, task, task + 1):
@@ -100,7 +103,7 @@ def take(counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, 
     if solvent is None:
         in_vacuum(step % IN_VACUUM, chunks, state, vacuum, terms, far)
     else:
-        in_solvent(step % IN_SOLVENT, chunks, state, vacuum, terms, solvent, necks, far)
+        in_solvent(step % IN_SOLVENT, chunks, state, vacuum, terms, solvent, necks, far, salt)
     n_done = add(counters, DONE, 1) + 1
     if n_done == load(counters, OPEN) and n_done < load(counters, LAST):
         add(counters, OPEN, counters[TASKS])
@@ -131,7 +134,8 @@ def in_vacuum(step: int, chunks: Share, state: Any, vacuum: Any, terms: Any, far
 
 @inline_kernel
 def in_solvent(
-    step: int, chunks: Share, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any
+    step: int, chunks: Share, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any,
+    salt: Any,
 ) -> None:  # fmt: skip
     """Do some chunks of a step of the energy with generalised Born."""
     _, atoms, sums, is_written, parts, forces = state
@@ -145,12 +149,12 @@ def in_solvent(
             far_fields(chunks, far[2][0], far)
         born_radii(chunks, state, solvent, far)
     elif step == 2:
-        polar(chunks, state, solvent)
+        polar(chunks, state, solvent, salt)
         if far is not None:
             screened_tiles, screened_rows = far[3]
             born.screened_sums(chunks, atoms, screened_tiles, screened_rows, sums, parts[POLAR])
     elif step == 3:
-        pulls(chunks, state, solvent)
+        pulls(chunks, state, solvent, salt)
         if far is not None:
             put_pulls(chunks, atoms, solvent[2][3], far)
             far_moments(chunks, atoms, far[2][1], far)
@@ -263,22 +267,22 @@ def born_radii(chunks: Share, state: Any, solvent: Any, far: Any) -> None:
 
 
 @inline_kernel
-def polar(chunks: Share, state: Any, solvent: Any) -> None:
+def polar(chunks: Share, state: Any, solvent: Any, salt: Any) -> None:
     """Add energies and forces of generalised Born, and derivatives by Born radii."""
     _, atoms, sums, _, parts, _ = state
     # For all tiles, because Born radii also change in tiles of rigid groups.
-    born.polar_sums(chunks, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
+    born.polar_sums(chunks, atoms, solvent[1][2], solvent[0][7], salt, sums, parts[POLAR])
 
 
 @inline_kernel
-def pulls(chunks: Share, state: Any, solvent: Any) -> None:
+def pulls(chunks: Share, state: Any, solvent: Any, salt: Any) -> None:
     """Put derivatives by the Born integrals of some atoms, and add their self energies."""
     x, atoms, sums, is_written, parts, _ = state
     (_, _, _, _, _, gb_charge, surface, _), _, (_, _, slope, pull) = solvent
     collect_scalars(*blocks_of(chunks, atoms), sums, is_written, pull)
     for c in range(*chunks):
         begin, end = atoms_of(*part(len(atoms), c), len(x))
-        polar, area = born.add_self_energy(begin, end, gb_charge, surface, slope, atoms, pull)
+        polar, area = born.add_self_energy(begin, end, gb_charge, surface, slope, atoms, salt, pull)
         parts[POLAR, c] += polar
         parts[SURFACE, c] += area
 
