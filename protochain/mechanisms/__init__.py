@@ -9,7 +9,6 @@ from protochain.mechanisms.assumed import assumed_modes
 from protochain.mechanisms.bending import bending
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushing
-from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.contact import (
     Contact,
@@ -23,9 +22,11 @@ from protochain.mechanisms.drawing import Block, Rod
 from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.hinge_springs import Stop, Torsion
 from protochain.mechanisms.linear import Linear, frequencies, linearise, state_matrix
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
+from protochain.mechanisms.loop_joints import ClosedEquations
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.motors import Motor
@@ -35,8 +36,6 @@ from protochain.mechanisms.run import Audit, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
-from protochain.mechanisms.stops import Stop
-from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
     "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing",

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.checks import brief
+from protochain.core.checks import brief, optional
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.element_arguments import direction, not_negative, number, numbers, rotation_matrix
+from protochain.mechanisms.element_arguments import amount, direction, number, numbers, rotation_matrix
 from protochain.mechanisms.elements import Named
 
 KINDS = {kind: HingeKind[kind.upper()] for kind in ("revolute", "prismatic", "screw", "ball", "fixed")}
@@ -53,16 +53,10 @@ class Body(Named):
     nominal: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        label = f"{self.label}: its"
-        for name in ("armature", "mass"):
-            self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
-        self.fix(com=numbers(self.com, (3,), f"{label} centre of mass"))
-        self.fix(inertia=_inertia(self.inertia, f"{label} inertia"))
-        if self.rotation is not None:
-            self.fix(rotation=rotation_matrix(self.rotation, f"{label} rotation"))
-        for name in ("position", "velocity", "spin"):
-            if getattr(self, name) is not None:
-                self.fix(**{name: numbers(getattr(self, name), (3,), f"{label} {name}")})
+        self.check(armature=amount, mass=amount)
+        self.fix(com=numbers(self.com, f"{self.label}: its centre of mass"))
+        self.check(inertia=_inertia, rotation=optional(rotation_matrix))
+        self.check(position=optional(numbers), velocity=optional(numbers), spin=optional(numbers))
 
 
 class NominalBody(Body):
@@ -103,15 +97,8 @@ class Hinge(Named):
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
             raise MechanicsError(f"{label} kind {brief(self.kind)}: give {', '.join(kinds)} or {last}")
-        self.fix(pitch=number(self.pitch, f"{label} pitch"))
-        self.fix(armature=float(not_negative(self.armature, f"{label} armature")))
-        for name in ("q", "qd"):
-            value = getattr(self, name)
-            if self.kind == "ball":
-                still = np.ndim(value) == 0 and value == 0.0
-                self.fix(**{name: numbers(NOWHERE if still else value, (3,), f"{label} {name}")})
-            else:
-                self.fix(**{name: number(value, f"{label} {name}")})
+        coordinate = _rotation_vector if self.kind == "ball" else number
+        self.check(pitch=number, armature=amount, q=coordinate, qd=coordinate)
         if (self.kind == "screw") != (self.pitch != 0.0):
             raise MechanicsError(
                 f"{label} pitch is zero; give a pitch, or kind revolute"
@@ -122,9 +109,9 @@ class Hinge(Named):
             raise MechanicsError(
                 f"{label} q, qd and armature must be zero as it is fixed; give a rotation, or another kind"
             )
-        self.fix(at=numbers(self.at, (3,), f"{label} place"), axis=direction(self.axis, f"{label} axis"))
-        turn = np.eye(3) if self.rotation is None else rotation_matrix(self.rotation, f"{label} rotation")
-        self.fix(rotation=turn)
+        self.fix(at=numbers(self.at, f"{label} place"))
+        self.fix(rotation=np.eye(3) if self.rotation is None else self.rotation)
+        self.check(axis=direction, rotation=rotation_matrix)
 
 
 def assemble(
@@ -232,13 +219,18 @@ def _refuse_free_needles(
             )
 
 
+def _rotation_vector(value: ArrayLike, label: str) -> Floats:
+    """A rotation vector (3,) of a ball, or its rates. Zero is none."""
+    return numbers(NOWHERE if np.ndim(value) == 0 and value == 0.0 else value, label)
+
+
 def _inertia(value: ArrayLike, label: str) -> Floats:
     """An inertia tensor (3, 3) of its diagonal, of all of it, or of one number for a ball."""
     if np.ndim(value) == 0:
         return number(value, label) * np.eye(3)
     if np.shape(value) == (3,):
-        return np.diag(numbers(value, (3,), label))
-    matrix = numbers(value, (3, 3), label)
+        return np.diag(numbers(value, label))
+    matrix = numbers(value, label, (3, 3))
     if np.max(np.abs(matrix - matrix.T)) > 1e-9 * np.max(np.abs(matrix)):
         raise MechanicsError(f"{label} is not symmetric: give the tensor about the centre of mass")
     return 0.5 * (matrix + matrix.T)

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, finite, read_only
 from protochain.core.checks import number
@@ -16,11 +16,10 @@ from protochain.mechanics.motion import Drive, Equations, Load, Phase, System
 from protochain.mechanics.multibody import Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
-from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
-from protochain.mechanisms.loop_joints import DEPENDENT
+from protochain.mechanisms.explicit import CompiledLoops, CompiledSystem, arrays_of
+from protochain.mechanisms.loop_joints import DEPENDENT, ClosedEquations
 
 Coordinates = ArrayLike | Mapping[str, ArrayLike] | None
 """Values of all freedoms, of hinges by name, or by default of the start."""
@@ -82,7 +81,7 @@ class Assembly:
         compiled = all(isinstance(load, Dampers) for load in loads) and self.tree.is_plain
         acts = None
         if compiled and (joints is None or joints.rank is None):
-            acts = Acts.of(self.conservative, dampers)
+            acts = arrays_of(self.conservative, dampers)
         if acts is not None:
             if joints is None:
                 return CompiledSystem(self.tree, potential, loads=loads, acts=acts)
@@ -95,12 +94,6 @@ class Assembly:
     def works(self) -> tuple[str, ...]:
         """Names of elements that do work, in the order of ``Phase.work``."""
         return (*(load.name for load in self.loads), *(("drives",) if self.drive is not None else ()))
-
-    @property
-    def taking(self) -> NDArray[np.bool_]:
-        """(k,) bool: which of the works are of dampers and friction, which can only dissipate energy."""
-        kinds = [load.dissipates for load in self.loads]
-        return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
 
     def start(self) -> Phase:
         """Phase at the start. Refused if the pose is singular, or an element returns a non-finite value."""
@@ -279,7 +272,8 @@ class Motion:
     @property
     def dissipation(self) -> Floats:
         """(n,) float: energy that dampers and friction have dissipated."""
-        return np.asarray(0.0 - np.sum(self.work[:, self.model.taking], axis=1))
+        taking = np.flatnonzero([load.dissipates for load in self.model.loads])
+        return np.asarray(0.0 - np.sum(self.work[:, taking], axis=1))
 
     @property
     def momenta(self) -> Floats:

@@ -1,11 +1,13 @@
 """Bushings: elastic joints of six stiffnesses between two bodies."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import optional
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import Frames, algebra
 from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
@@ -54,10 +56,8 @@ class Bushing(Between):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.rotation is not None:
-            self.fix(rotation=rotation_matrix(self.rotation, f"{self.label}: its rotation"))
-        for name in ("stiffness", "damping"):
-            self.fix(**{name: not_negative(getattr(self, name), f"{self.label}: its {name}", (6,))})
+        six = partial(not_negative, shape=(6,))
+        self.check(rotation=optional(rotation_matrix), stiffness=six, damping=six)
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its wrenches."""

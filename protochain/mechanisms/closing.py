@@ -9,15 +9,14 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, read_only
-from protochain.core.checks import brief
+from protochain.core.checks import brief, optional
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.closed_equations import CLOSED
 from protochain.mechanisms.element_arguments import direction, rotation_matrix
 from protochain.mechanisms.elements import Between
-from protochain.mechanisms.loop_joints import LoopJoints, least_change
+from protochain.mechanisms.loop_joints import CLOSED, LoopJoints, least_change
 
 X, Y, Z = np.eye(3)
 _SLIDES = {
@@ -83,13 +82,10 @@ class Closing(Between):
             )
         if (self.kind == "universal") != (self.axis_b is not None):
             raise MechanicsError(f"{self.label}: axis_b applies to kind universal only, which requires it")
-        self.fix(axis=direction(self.axis, f"{self.label}: its axis"))
-        if self.axis_b is not None:
-            self.fix(axis_b=direction(self.axis_b, f"{self.label}: its axis_b"))
-        if self.rotation is not None:
-            if self.kind != "rigid":
-                raise MechanicsError(f"{self.label}: rotation applies to kind rigid, not to {self.kind}")
-            self.fix(rotation=rotation_matrix(self.rotation, f"{self.label}: its rotation"))
+        self.check(axis=direction, axis_b=optional(direction))
+        if self.rotation is not None and self.kind != "rigid":
+            raise MechanicsError(f"{self.label}: rotation applies to kind rigid, not to {self.kind}")
+        self.check(rotation=optional(rotation_matrix))
 
     def bind(self, bodies: Bodies) -> LoopJoints:
         """Return its equations."""

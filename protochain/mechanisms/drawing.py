@@ -47,7 +47,7 @@ class Rod:
 
     def __post_init__(self) -> None:
         for name in ("a", "b"):
-            numbers(getattr(self, name), (3,), f'end {name} of a rod of "{self.body}"')
+            numbers(getattr(self, name), f'end {name} of a rod of "{self.body}"')
         if self.radius is not None and not number(self.radius, f'the radius of a rod of "{self.body}"') > 0:
             raise MechanicsError(f'the radius {self.radius:g} of a rod of "{self.body}": give one above 0')
 
@@ -71,9 +71,9 @@ class Block:
     at: ArrayLike = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if np.any(numbers(self.edges, (3,), f'edges of a block of "{self.body}"') < 0.0):
+        if np.any(numbers(self.edges, f'edges of a block of "{self.body}"') < 0.0):
             raise MechanicsError(f'edges {brief(self.edges)} of a block of "{self.body}": give none below 0')
-        numbers(self.at, (3,), f'the middle of a block of "{self.body}"')
+        numbers(self.at, f'the middle of a block of "{self.body}"')
 
 
 Shape = Ball | Rod | Block

@@ -8,6 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError, ProtochainError
+from protochain.mechanics.multibody.tree import is_rotation
 
 _KINDS = {
     (): "a number",
@@ -18,7 +19,7 @@ _KINDS = {
 }
 
 
-def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
+def numbers(value: Any, label: str, shape: tuple[int, ...] = (3,)) -> Floats:
     """Return finite numbers of a shape. ``label`` begins the message, as ``spring "s": its stiffness``."""
     try:
         array = np.array(value, dtype=float)
@@ -41,12 +42,12 @@ def answer(label: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 def number(value: Any, label: str) -> float:
     """Return a finite number."""
-    return float(numbers(value, (), label))
+    return float(numbers(value, label, ()))
 
 
 def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     """Return finite numbers, none of them below zero. One number stands for all."""
-    array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, label)
+    array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, label, shape)
     if np.any(array < 0.0):
         raise MechanicsError(
             f"{label} {brief(value)}: give none below zero, which would create energy",
@@ -55,26 +56,25 @@ def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     return array
 
 
+def amount(value: Any, label: str) -> float:
+    """Return a finite number that is not below zero."""
+    return float(not_negative(value, label))
+
+
 def direction(value: Any, label: str) -> Floats:
     """Return a vector of length one, (3,)."""
-    vector = numbers(value, (3,), label)
+    way = numbers(value, label)
     # Divided first, so that tiny and huge ones keep their digits.
-    largest = float(np.max(np.abs(vector)))
+    largest = float(np.max(np.abs(way)))
     if largest == 0.0:
         raise MechanicsError(f"{label} has length zero: give a direction, as (0, 0, 1)")
-    vector = vector / largest
-    return np.asarray(vector / np.linalg.norm(vector))
+    way = way / largest
+    return np.asarray(way / np.linalg.norm(way))
 
 
 def rotation_matrix(value: Any, label: str) -> Floats:
     """Return a rotation, (3, 3)."""
-    matrix = numbers(value, (3, 3), label)
+    matrix = numbers(value, label, (3, 3))
     if not is_rotation(matrix[None])[0]:
         raise MechanicsError(f"{label} is none: give a matrix with orthonormal columns and determinant 1")
     return matrix
-
-
-def is_rotation(rotation: Floats) -> np.ndarray:
-    """Whether finite matrices (n, 3, 3) are rotations, (n,) bool."""
-    product = rotation @ rotation.swapaxes(1, 2)
-    return np.all(np.abs(product - np.eye(3)) <= 1e-9, axis=(1, 2)) & (np.linalg.det(rotation) > 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import Check
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load, Phase
@@ -125,6 +126,11 @@ class Named:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
+    def check(self, **checks: Check) -> None:
+        """Check fields, and set them to the checked values."""
+        for name, check in checks.items():
+            self.fix(**{name: check(getattr(self, name), f"{self.label}: its {name}")})
+
 
 @dataclass(frozen=True, eq=False)
 class Between(Named):
@@ -140,7 +146,7 @@ class Between(Named):
         if self.a[0] == self.b[0]:
             raise MechanicsError(f'{self.label}: both of its ends are on "{self.a[0]}"; join two bodies')
         for side, (body, at) in (("a", self.a), ("b", self.b)):
-            self.fix(**{side: (body, numbers(at, (3,), f"{self.label}: its point"))})
+            self.fix(**{side: (body, numbers(at, f"{self.label}: its point"))})
 
     def ends(self, bodies: Bodies) -> tuple[Integers, Floats]:
         """(1, 2) int, (1, 6) float: both bodies, and their points along the axes of the tree's frames."""

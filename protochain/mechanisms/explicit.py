@@ -8,7 +8,7 @@ they word.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -23,11 +23,10 @@ from protochain.mechanics.multibody.rotations import put_rates
 from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms import loop_joints
-from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
+from protochain.mechanisms.hinge_springs import Torsions, slow, wind
 from protochain.mechanisms.linear_springs import Springs, pull, resist
-from protochain.mechanisms.loop_joints import LoopJoints
-from protochain.mechanisms.torsion import Torsions, slow, wind
+from protochain.mechanisms.loop_joints import CLOSED, ITERATIONS, ClosedEquations, LoopJoints
 
 _MOST, _LEAST = 100_000, 1e-9
 """Substeps of a step, and the shortest by the step, as of ``in_substeps``, which words what fails."""
@@ -37,24 +36,16 @@ _NO_SPRINGS = Springs(np.empty(0, "U1"), _NONE.reshape(0, 2), np.empty((0, 6)), 
 _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 
 
-@dataclass(frozen=True, eq=False)
-class Acts:
-    """Elements, as arguments of a kernel."""
-
+def arrays_of(parts: Sequence[Conservative], dampers: Sequence[Damping]) -> tuple[Any, ...] | None:
+    """Forces and dampers as arguments of a kernel. None if an element is of another kind."""
     # Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms and
-    # constants of :class:`Torsions`.
-    forces: tuple[Any, ...]
-    dampers: tuple[Any, ...]  # Of springs and torsions that damp the same, but gravity.
-
-    @classmethod
-    def of(cls, parts: Sequence[Conservative], dampers: Sequence[Damping]) -> Self | None:
-        """Of elements. None if one is of another kind."""
-        weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
-        other_parts = [part for part in parts if not isinstance(part, Gravity)]
-        if not all(isinstance(part, Springs | Torsions) for part in (*other_parts, *dampers)):
-            return None
-        gravity = read_only(sum(weights, np.zeros(3)))
-        return cls((gravity, *_rows(other_parts)), _rows(dampers))
+    # constants of :class:`Torsions`. Dampers have the same, but gravity.
+    weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
+    other_parts = [part for part in parts if not isinstance(part, Gravity)]
+    if not all(isinstance(part, Springs | Torsions) for part in (*other_parts, *dampers)):
+        return None
+    gravity = read_only(sum(weights, np.zeros(3)))
+    return (gravity, *_rows(other_parts)), _rows(dampers)
 
 
 def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
@@ -71,16 +62,17 @@ def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
 class InOneKernel(Equations):
     """Equations whose explicit steps are one call. The rest is inherited from the other base."""
 
-    acts: Acts = field(kw_only=True)
+    acts: tuple[Any, ...] = field(kw_only=True)
 
     @cached_property
     def _arrays(self) -> tuple[Any, ...]:
         """Arguments that are the same in every step."""
         tree, joints = self.tree, getattr(self, "joints", _NO_JOINTS)
         return (
-            (tree.links, tree.bodies, tree.size), self.acts.forces, self.acts.dampers,
+            (tree.links, tree.bodies, tree.size),
+            *self.acts,
             (joints.body, joints.turns, joints.point, joints.along),
-        )  # fmt: skip
+        )
 
     def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
         """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
@@ -176,9 +168,7 @@ def _march(
             k = i // stride
             times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
             energies[k], works[k] = last[4], total
-    (_, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _) = last
-    end = q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, total, now
-    return n_taken, end, (times, qs, qds, ps, energies, works)
+    return n_taken, (*last[1:13], total, now), (times, qs, qds, ps, energies, works)
 
 
 @kernel

@@ -12,7 +12,7 @@ from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.element_arguments import not_negative
+from protochain.mechanisms.element_arguments import amount
 from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.reactions import transmitted_forces
 
@@ -58,8 +58,7 @@ class HingeFriction(Named):
     speed: float = 1e-3
 
     def __post_init__(self) -> None:
-        for name in ("torque", "coefficient", "radius", "damping", "speed"):
-            self.fix(**{name: float(not_negative(getattr(self, name), f"{self.label}: its {name}"))})
+        self.check(torque=amount, coefficient=amount, radius=amount, damping=amount, speed=amount)
         if self.torque == self.coefficient * self.radius == self.damping == 0.0:
             raise MechanicsError(
                 f"{self.label}: it has no effect; give a torque, a coefficient or a damping",

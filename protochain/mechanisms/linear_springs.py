@@ -1,32 +1,31 @@
 """Springs and dampers between two points."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import optional
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import Frames, algebra
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import end_of
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.element_arguments import not_negative
-from protochain.mechanisms.elements import Acting, Between, Named, Rows
+from protochain.mechanisms.element_arguments import amount
+from protochain.mechanisms.elements import Acting, Between, Rows
 
 STIFFNESS, REST, DAMPING = range(3)
 """Columns of ``constants``."""
 
 
-def constants(stiffness: float, damping: float, element: Named) -> dict[str, float]:
-    """Return stiffness and damping, of which one at least is above zero."""
-    k = float(not_negative(stiffness, f"{element.label}: its stiffness"))
-    c = float(not_negative(damping, f"{element.label}: its damping"))
-    if k == c == 0.0:
+def check_constants(element: Any) -> None:
+    """Check stiffness and damping, of which one at least is above zero."""
+    element.check(stiffness=amount, damping=amount)
+    if element.stiffness == element.damping == 0.0:
         raise MechanicsError(
             f"{element.label}: it has no effect; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
         )
-    return {"stiffness": k, "damping": c}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +59,8 @@ class Spring(Between):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.fix(**constants(self.stiffness, self.damping, self))
-        if self.rest is not None:
-            self.fix(rest=float(not_negative(self.rest, f"{self.label}: its rest")))
+        check_constants(self)
+        self.check(rest=optional(amount))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its forces."""

@@ -2,13 +2,16 @@
 
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, read_only
+from protochain.core.checks import Check
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
@@ -46,11 +49,8 @@ class AppliedForce(Named):
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
             raise MechanicsError(f"{self.label}: it has no effect; give a force or a moment")
-        self.fix(
-            at=numbers(self.at, (3,), f"{self.label}: its point"),
-            force=_law(self.force, (3,), f"{self.label}: its force"),
-            moment=_law(self.moment, (3,), f"{self.label}: its moment"),
-        )
+        self.fix(at=numbers(self.at, f"{self.label}: its point"))
+        self.check(force=partial(_law, check=numbers), moment=partial(_law, check=numbers))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return it as a load."""
@@ -58,23 +58,17 @@ class AppliedForce(Named):
         if b < 0:
             raise MechanicsError(f"{self.label}: the world does not move; name a body")
         point = bodies.inside(b, self.at)
-        force, by_force = _of_state(self.force)
-        moment, by_moment = _of_state(self.moment)
-
-        def evaluate(quantity: str, function: Callable[..., Any], *arguments: Any) -> Floats:
-            return numbers(answer(f"{label} {quantity}", function, *arguments), (3,), f"{label} {quantity}")
+        force, by_force = _evaluator(self.force, bodies, f"{label} force", numbers)
+        moment, by_moment = _evaluator(self.moment, bodies, f"{label} moment", numbers)
 
         def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-            def state() -> State:
-                return State(bodies, time, q, qd, frames)
-
             wrenches = np.zeros((bodies.tree.n_bodies, 6))
             if self.force is not None:
-                fx, fy, fz = evaluate("force", force, time, state).tolist()
+                fx, fy, fz = force(time, q, qd, frames).tolist()
                 x, y, z = (frames.rotation[b] @ point).tolist()
                 wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
             if self.moment is not None:
-                wrenches[b, :3] += evaluate("moment", moment, time, state)
+                wrenches[b, :3] += moment(time, q, qd, frames)
             return Applied(wrenches)
 
         return Acting(load=Load(apply, by_force or by_moment))
@@ -103,60 +97,52 @@ class HingeTorque(Named):
     value: Any
 
     def __post_init__(self) -> None:
-        self.fix(value=_law(self.value, (), f"{self.label}: its value"))
+        self.check(value=partial(_law, check=number))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return it as a load."""
-        freedom, label = bodies.freedom(self.hinge, self.label)[1], f"{self.label}: its value"
-        value, by_state = _of_state(self.value)
+        freedom = bodies.freedom(self.hinge, self.label)[1]
+        torque, by_state = _evaluator(self.value, bodies, f"{self.label}: its value", number)
 
         def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
-            torque = answer(label, value, time, lambda: State(bodies, time, q, qd, frames))
-            torques[freedom] = number(torque, label)
+            torques[freedom] = torque(time, q, qd, frames)
             return Applied(torques=torques)
 
         return Acting(load=Load(apply, by_state), inside=True, hinges=(self.hinge,))
 
 
-def _law(value: Any, shape: tuple[int, ...], label: str) -> Any:
-    """Constants as checked numbers of a shape, or a function or None as it is."""
+def _law(value: Any, label: str, check: Check) -> Any:
+    """Constants as checked numbers, or a function or None as it is."""
     if value is None or (callable(value) and n_parameters(value)):
         return value
     if callable(value):
         raise MechanicsError(f"{label}: give a callable of t, or of t and state")
-    return read_only(numbers(value, shape, label))
+    return read_only(check(value, label))
 
 
-def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
-    """A function of time and a maker of states, and whether it may depend on velocities."""
-    if not callable(value):
-        return (lambda time, state: value), False
-    if n_parameters(value) == 1:
-        return (lambda time, state: value(time)), False
-    return (lambda time, state: value(time, state())), True
+def _evaluator(value: Any, bodies: Bodies, label: str, check: Check) -> tuple[Callable[..., Any], bool]:
+    """A function of time, q, qd and frames, and whether it may depend on velocities."""
+    by_state = callable(value) and n_parameters(value) == 2
+
+    def evaluate(time: float, *at: Any) -> Any:
+        if not callable(value):
+            return value
+        arguments = (time, State(bodies, time, *at)) if by_state else (time,)
+        return check(answer(label, value, *arguments), label)
+
+    return evaluate, by_state
 
 
 def n_parameters(value: Callable[..., Any]) -> int:
     """Number of arguments that a callable requires, one or two, or 0 if others. Defaults do not count."""
     try:
-        parameters = inspect.signature(value).parameters.values()
+        signature = inspect.signature(value)
     except (TypeError, ValueError):  # Some callables that are not of Python have no signature.
         return 1
-    kinds = [parameter.kind for parameter in parameters if parameter.default is parameter.empty]
-    if inspect.Parameter.KEYWORD_ONLY in kinds:
-        return 0
-    if inspect.Parameter.VAR_POSITIONAL in kinds:
-        return 2
-    needed = len([kind for kind in kinds if kind is not inspect.Parameter.VAR_KEYWORD])
-    # A default of the time itself is none that matters.
-    return needed if 1 <= needed <= 2 else int(not needed and _takes_one(value))
-
-
-def _takes_one(value: Callable[..., Any]) -> bool:
-    """Whether a callable can be called with the time."""
-    try:
-        inspect.signature(value).bind(None)
-    except TypeError:
-        return False
-    return True
+    several = any(parameter.kind is parameter.VAR_POSITIONAL for parameter in signature.parameters.values())
+    for n in (2, 1) if several else (1, 2):
+        with suppress(TypeError):
+            signature.bind(*[None] * n)
+            return n
+    return 0

@@ -1,14 +1,17 @@
-"""Joints that close loops: their errors, the rows of these on the twists, and their accelerations."""
+"""Joints that close loops: errors, rows of these on the twists, accelerations, and equations of motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import Fault
+from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.articulated import Articulated, solve
-from protochain.mechanics.multibody.kinematics import Frames, end_of, outward_twists, velocities
+from protochain.mechanics.multibody.kinematics import Frames, end_of, outward_twists, pull_back, velocities
 from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
 from protochain.mechanics.multibody.operational import Rows, row_matrix
 from protochain.mechanics.multibody.rotations import hinge_accelerations
@@ -18,6 +21,9 @@ from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 DEPENDENT = 1e-9
 """Part of an equation that no other has, by the size it could have, below which it is rounding. Loops are
 closed to 1e-12."""
+CLOSED = 1e-12
+"""Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""
+ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +43,8 @@ class LoopJoints:
     rank: int | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "body", read_only(self.body, np.int64))
-        object.__setattr__(self, "turns", read_only(self.turns, np.bool_))
-        object.__setattr__(self, "point", read_only(self.point))
-        object.__setattr__(self, "along", read_only(self.along))
+        for name, dtype in (("body", np.int64), ("turns", np.bool_), ("point", float), ("along", float)):
+            object.__setattr__(self, name, read_only(getattr(self, name), dtype))
 
     def rows(self, frames: Frames) -> tuple[Floats, Rows]:
         """(m,) float: errors, in lengths and cosines, and their rates as rows on the twists of the bodies."""
@@ -123,6 +127,62 @@ def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
         factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
     return FactoredLoops(factors, error, rows, *parts, joints.rank)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedEquations(Equations):
+    """Forest of rigid bodies with loops, whose joints constrain accelerations, velocities and places.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
+    loads, drive : tuple of Load, and callable, optional
+        As of :class:`Equations`.
+    joints : LoopJoints
+        Joints that close the loops.
+
+    Notes
+    -----
+    Accelerations are those without loops plus the effect of the joints' least forces (Gauss's principle). The
+    projections after a step are smallest by the kinetic energy, so that neither lets the loops drift.
+    """
+
+    beyond: ClassVar[str] = "closed loops"
+
+    joints: LoopJoints = field(kw_only=True)
+
+    def prescribe(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
+        """Coordinates, velocities and factors, with the loops closed.
+
+        Raises
+        ------
+        StepTooLargeError
+            If no coordinates nearby close them.
+        """
+        q, qd, factors = super().prescribe(time, q, qd)
+        units = np.where(self.joints.turns, 1.0, self.tree.size)
+        for _ in range(ITERATIONS):
+            loops = factor_loops(factors, self.joints)
+            gap = float(np.max(np.abs(loops.error) / units))
+            if not gap > CLOSED:
+                return q, qd - loops.change(loops.rates(qd)), factors
+            q = self.integrate(q, -loops.change(loops.error))
+            factors = self.factors(q)
+        raise StepTooLargeError(f"a loop does not close: gap {gap:.2g} of its size", fault=Fault.OPEN)
+
+    def constrain(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
+        """Accelerations (n_v,) with the loops closed, and the torques (n_v,) of their joints."""
+        loops = factor_loops(factors, self.joints)
+        impulses = loops.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
+        torques = pull_back(self.tree, factors.frames, loops.wrenches(impulses))
+        return qdd + solve(factors, torques), torques
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, projected on the loops, except at driven hinges."""
+        return self.at(at.q, qd, at.time, at.work)
 
 
 @kernel

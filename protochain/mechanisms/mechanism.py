@@ -1,7 +1,7 @@
 """The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
 import inspect
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -16,20 +16,18 @@ from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.bushing import Bushing
 from protochain.mechanisms.closing import Closing, close_loops
 from protochain.mechanisms.contact import Contact
-from protochain.mechanisms.drives import Driven
 from protochain.mechanisms.element_arguments import numbers
 from protochain.mechanisms.elements import CustomForce, Named
 from protochain.mechanisms.event import Event
 from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.hinge_springs import Stop, Torsion
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mjcf_files import read_mjcf
 from protochain.mechanisms.mjcf_text import mjcf
 from protochain.mechanisms.model import Model, model_of
-from protochain.mechanisms.motors import Motor
+from protochain.mechanisms.motors import Driven, Motor
 from protochain.mechanisms.robot_files import read_urdf
-from protochain.mechanisms.stops import Stop
-from protochain.mechanisms.torsion import Torsion
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -79,15 +77,17 @@ class Mechanism:
     def __init__(self, gravity: ArrayLike = NOWHERE, units: str = "rad") -> None:
         if units not in ("rad", "deg"):
             raise MechanicsError(f"units {brief(units)}: give rad or deg")
-        self._gravity = numbers(gravity, (3,), "gravity")
-        self._degrees = units == "deg"
+        self._gravity = numbers(gravity, "gravity")
+        self.degrees = units == "deg"
+        """Whether angles are in degrees."""
         self._bodies: dict[str, Body] = {}
         self._hinges: dict[str, Hinge] = {}
         self._closings: dict[str, Closing] = {}
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
-        self._left_out: dict[str, str] = {}
+        self.left_out: dict[str, str] = {}
+        """Parts of the file that the mechanism does not have: kind -> an example's name."""
 
     @classmethod
     def from_urdf(
@@ -169,48 +169,11 @@ class Mechanism:
         read_mjcf(mechanism, source, stops, leave_out)
         return mechanism
 
-    def to_mjcf(self, path: str | Path | None = None) -> str:
-        """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
-
-        MuJoCo has the same mass matrix and accelerations. A body without mass that carries one other becomes
-        a joint of that one. One that carries several gets a mass and moments of 2e-15, as MuJoCo needs 1e-15.
-        So do moments of rods and points. The largest moment of a flat body is less by 1e-15 of it at most. A
-        body whose inertia no body has is one with the bodies that are fixed to it.
-
-        Parameters
-        ----------
-        path : str or Path, optional
-            Where to write it.
-
-        Returns
-        -------
-        str
-            The text. Coordinates begin at zero. MuJoCo's stops and loops are softened as MuJoCo defines.
-
-        Raises
-        ------
-        MechanicsError
-            If an element is of a kind that MJCF does not have, or an inertia one that MuJoCo refuses.
-        """
-        return mjcf(self, path)
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        """Parts of the file that the mechanism does not have: kind -> an example's name."""
-        return dict(self._left_out)
-
-    def set_left_out(self, kinds: Mapping[str, str]) -> None:
-        """Change what :attr:`left_out` returns."""
-        self._left_out = dict(kinds)
-
-    @property
-    def degrees(self) -> bool:
-        """Whether angles are in degrees."""
-        return self._degrees
+    to_mjcf = mjcf
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Change the acceleration of free fall (3,)."""
-        self._gravity = numbers(gravity, (3,), "gravity")
+        self._gravity = numbers(gravity, "gravity")
 
     def parts(self, kind: type[T]) -> Iterator[T]:
         """Yield the parts of a kind, in the order given."""
@@ -298,9 +261,9 @@ class Mechanism:
                     f'hinge "{name}": its drive begins at q = {q:g}, qd = {qd:g}, not at the given values; '
                     "remove q and qd of the hinge"
                 )
-            unit = np.pi / 180.0 if self._degrees and hinge.kind != "prismatic" else 1.0
+            unit = np.pi / 180.0 if self.degrees and hinge.kind != "prismatic" else 1.0
             starts[name] = unit * q, unit * qd
-        tree = assemble(self._bodies, self._hinges, starts, self._gravity, self._degrees)
+        tree = assemble(self._bodies, self._hinges, starts, self._gravity, self.degrees)
         bodies = close_loops(tree, [*self._closings.values()])
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)

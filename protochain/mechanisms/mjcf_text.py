@@ -21,9 +21,8 @@ from protochain.mechanisms.bushing import Bushing
 from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.elements import Between, Named
 from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.hinge_springs import Stop, Torsion
 from protochain.mechanisms.linear_springs import Spring
-from protochain.mechanisms.stops import Stop
-from protochain.mechanisms.torsion import Torsion
 
 _JOINTS = {"revolute": "hinge", "prismatic": "slide", "ball": "ball"}
 _LOOPS = {"spherical": "connect", "rigid": "weld"}
@@ -33,8 +32,29 @@ _SAME = 1e-12
 """Difference of directions and places that is rounding."""
 
 
-def mjcf(mechanism: Any, path: str | Path | None) -> str:
-    """MJCF of a mechanism. See :meth:`Mechanism.to_mjcf`."""
+def mjcf(mechanism: Any, path: str | Path | None = None) -> str:
+    """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
+
+    MuJoCo has the same mass matrix and accelerations. A body without mass that carries one other becomes
+    a joint of that one. One that carries several gets a mass and moments of 2e-15, as MuJoCo needs 1e-15.
+    So do moments of rods and points. The largest moment of a flat body is less by 1e-15 of it at most. A
+    body whose inertia no body has is one with the bodies that are fixed to it.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        Where to write it.
+
+    Returns
+    -------
+    str
+        The text. Coordinates begin at zero. MuJoCo's stops and loops are softened as MuJoCo defines.
+
+    Raises
+    ------
+    MechanicsError
+        If an element is of a kind that MJCF does not have, or an inertia one that MuJoCo refuses.
+    """
     root = _Writing(mechanism).root
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")

@@ -15,12 +15,11 @@ from protochain.mechanics.multibody.tree import ARMATURE
 from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
-from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, join_rows
-from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.event import Event, Happened, march
 from protochain.mechanisms.explicit import InOneKernel
 from protochain.mechanisms.hinge_friction import friction
-from protochain.mechanisms.march import march
+from protochain.mechanisms.motors import Driven, check_drive, drive_of
 from protochain.mechanisms.run import ROUNDED, Run
 
 _LOOK = 256
@@ -266,19 +265,17 @@ class _Simulation:
         # Perhaps there was more before: this row may be a turning point.
         run = Run(self.model, self.rows, (), self.start)
         largest = run.in_motion
-        allowed = self.balance * largest + ROUNDED * run.stored_energy + self.tolerance_at(time)
+        # Energy that forces may lose in displacements that the integrator's tolerance allows, if bodies creep
+        # or rest more than they move, as a block that friction holds on a slope.
+        steps = (time - self.start.time) / self.time_step
+        work = float(np.sum(self.start.effort * self.model.tree.units))
+        lost = _TOLERATED * getattr(self.integrator, "tolerance", 0.0) * steps * work
+        allowed = self.balance * largest + ROUNDED * run.stored_energy + lost
         if not (abs(lack) <= allowed and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
                 f"without work: the time step {self.time_step:g} is too long; {self.remedy}"
             )
-
-    def tolerance_at(self, time: float) -> float:
-        """Energy that forces may lose by a time, in displacements that the integrator's tolerance allows."""
-        # Of what creeps or rests more than moves: as a block that friction holds on a slope.
-        steps = (time - self.start.time) / self.time_step
-        work = float(np.sum(self.start.effort * self.model.tree.units))
-        return _TOLERATED * getattr(self.integrator, "tolerance", 0.0) * steps * work
 
     def unspent(self, row: Row) -> tuple[float, float]:
         """Kinetic energy, and the constant energy: energy less work and the energy given by events."""
@@ -287,7 +284,7 @@ class _Simulation:
         return kinetic, kinetic + potential - float(np.sum(work)) - jumps
 
     def without_events(self, until: float) -> Phase:
-        """March as ``mechanisms.march`` does, many steps in one kernel if possible."""
+        """March as :func:`march` does, many steps in one kernel if possible."""
         system, step, h, stride = self.model.system, self.integrator.step, self.time_step, self.stride
         at, count, look = self.start, 0, stride * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.

@@ -1,6 +1,6 @@
-"""Motors that move hinges along a motion: a PD controller, and feed-forward by inverse dynamics."""
+"""Hinges that follow a motion: prescribed, or by motors with a PD controller and feed-forward."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,12 +10,40 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.motion import Applied, Drive, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.drives import Driven
-from protochain.mechanisms.element_arguments import not_negative, number
+from protochain.mechanisms.element_arguments import amount, answer, number
 from protochain.mechanisms.elements import Acting, Named
+
+
+@dataclass(frozen=True, eq=False)
+class Driven(Named):
+    """Prescribed motion of a hinge, by its name: time -> coordinate, rate, acceleration."""
+
+    noun: ClassVar[str] = "drive of hinge"
+
+    motion: Callable[[float], tuple[float, float, float]]
+
+    def __post_init__(self) -> None:
+        if not callable(self.motion):
+            raise MechanicsError(
+                f"{self.label}: motion {brief(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
+            )
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Coordinate, rate and acceleration at a time."""
+        values = answer(f"{self.label}: its motion", self.motion, time)
+        try:
+            q, qd, qdd = (float(value) for value in values)
+        except (TypeError, ValueError):
+            q = qd = qdd = np.nan
+        if not np.isfinite(q + qd + qdd):
+            raise MechanicsError(
+                f"{self.label}: at time {time:g} it gives {brief(values)}; "
+                "give coordinate, rate and acceleration, finite"
+            )
+        return q, qd, qdd
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +86,7 @@ class Motor(Named):
         if not (isinstance(self.follow, Mapping) and self.follow):
             remedy = 'give hinges and their motions, as {"elbow": lambda t: (t, 1, 0)}'
             raise MechanicsError(f"{label} follow {brief(self.follow)}: {remedy}")
-        for name in ("stiffness", "damping"):
-            self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
+        self.check(stiffness=amount, damping=amount)
         if not (self.limit == np.inf or number(self.limit, f"{label} limit") > 0.0):
             raise MechanicsError(f"{label} limit {self.limit:g}: give one above 0")
         self.fix(follow={hinge: self._drive_of(hinge, motion) for hinge, motion in self.follow.items()})
@@ -93,3 +120,34 @@ class Motor(Named):
             return Applied(torques=torques)
 
         return Acting(load=Load(apply), inside=True, hinges=names)
+
+
+def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
+    """All drives as one, in the order of the tree."""
+    ordered = sorted(drives, key=lambda driven: bodies.hinge(driven.name))
+    units = np.array([bodies.unit(driven.name) for driven in ordered])
+
+    def drive(time: float) -> tuple[Floats, Floats, Floats]:
+        q, qd, qdd = np.array([driven.at(time) for driven in ordered]).T * units
+        return q, qd, qdd
+
+    return drive
+
+
+def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None:
+    """Raise if a drive's rates and accelerations are not the derivatives of its coordinates and rates."""
+    tree = bodies.tree
+    before, at, after = (np.array(drive(t)) for t in (time - nudge, time, time + nudge))
+    change = (after[:2] - before[:2]) / (2.0 * nudge)
+    # A hundredth, and what the differences are rounded by: a start from rest cancels terms of order one.
+    rounded = (1e-12 * np.abs(at[:2]) + 1e-13 * tree.units[tree.driven_v]) / nudge
+    allowed = 0.01 * np.maximum(np.abs(change), np.abs(at[1:])) + rounded
+    if np.any(np.abs(change - at[1:]) > allowed):
+        row, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
+        driven = [hinge for hinge, b in bodies.hinges.items() if tree.v_start[b] in tree.driven_v]
+        name = sorted(driven, key=bodies.hinge)[k]
+        noun, rate = ("coordinate", "rate") if row == 0 else ("rate", "acceleration")
+        raise MechanicsError(
+            f'drive of hinge "{name}": at time {time:g} its {noun} changes by {change[row, k]:g} per time, '
+            f"but its {rate} is {at[row + 1, k]:g}; give the derivative"
+        )

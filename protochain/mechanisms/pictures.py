@@ -62,10 +62,39 @@ class Movie:
         return f"<Movie of {self.title}: shown in notebooks>"
 
 
-def movie(
-    run: Motion, path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
+def view(
+    run: Motion,
+    path: str | Path | None = None,
+    shapes: Sequence[Shape] | None = None,
+    title: str = "",
+    frames: int = 200,
 ) -> Movie:
-    """Return the page of a motion, and write it. See :meth:`Run.view`."""
+    """Show the motion in three dimensions: in a notebook, and as a page that works offline.
+
+    Parameters
+    ----------
+    run : Run
+        The motion.
+    path : str or Path, optional
+        Where to write the page, as ``"motion.html"``.
+    shapes : sequence of Ball, Rod or Block, optional
+        Shapes of bodies. By default rods to joined parts, the balls of contacts, and for
+        bodies without either blocks or balls with their moments of inertia.
+    title : str
+        Its heading.
+    frames : int
+        Most poses.
+
+    Returns
+    -------
+    Movie
+        Drag to turn it, scroll to zoom.
+
+    Raises
+    ------
+    MechanicsError
+        If a shape is none or its body not there.
+    """
     from jinja2 import Template
 
     if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
@@ -86,9 +115,34 @@ def movie(
 
 
 def strip(
-    run: Motion, times: ArrayLike | None, shapes: Sequence[Shape] | None, along: ArrayLike | None
+    run: Motion,
+    times: ArrayLike | None = None,
+    shapes: Sequence[Shape] | None = None,
+    along: ArrayLike | None = None,
 ) -> "Figure":
-    """Return a figure of poses. See :meth:`Run.strip`."""
+    """Draw poses side by side.
+
+    Parameters
+    ----------
+    run : Run
+        The motion.
+    times : (n,) array_like, optional
+        Times. The rows next to these are drawn. By default five, from start to end.
+    shapes : sequence of Ball, Rod or Block, optional
+        As of :meth:`Run.view`.
+    along : (3,) array_like, optional
+        Direction of view. By default the direction in which the motion is flat, or aslant.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Notebooks display it. ``savefig("strip.svg")`` writes it.
+
+    Raises
+    ------
+    MechanicsError
+        If a time is not of the run, a shape is none, or its body not there.
+    """
     from protochain.core.figure import Figure
 
     first, last = run.time[0], run.time[-1]

@@ -41,7 +41,11 @@ def transmitted_forces(model: Assembly, at: Phase) -> Transmitted:
         applied += 0.0 if wrenches is None else wrenches
     impulses, joints = np.zeros(0), model.bodies.joints
     if joints is not None:
-        free = system.forward_dynamics(at.q, at.qd, _torques_and_accelerations(model, at))
+        # Driven hinges have accelerations in place of torques.
+        torque = at.torque.copy()
+        if model.drive is not None:
+            torque[tree.driven_v] = model.drive(at.time)[2]
+        free = system.forward_dynamics(at.q, at.qd, torque)
         loops = factor_loops(at.factors, joints)
         impulses = loops.impulses(-joints.accelerations(tree, frames, at.qd, free))
         applied += loops.wrenches(impulses)
@@ -53,14 +57,6 @@ def transmitted_forces(model: Assembly, at: Phase) -> Transmitted:
             passed[p, :3] += passed[b, :3] + np.cross(arm, passed[b, 3:])
             passed[p, 3:] += passed[b, 3:]
     return Transmitted(at, passed, impulses)
-
-
-def _torques_and_accelerations(model: Assembly, at: Phase) -> Floats:
-    """Torques, replaced by accelerations at driven hinges, as forward dynamics requires."""
-    prescribed = at.torque.copy()
-    if model.drive is not None:
-        prescribed[model.tree.driven_v] = model.drive(at.time)[2]
-    return prescribed
 
 
 def phases(run: Motion) -> Iterator[Phase]:
@@ -77,7 +73,27 @@ def phases(run: Motion) -> Iterator[Phase]:
 
 
 def reactions(run: Motion, name: str) -> "pd.DataFrame":
-    """Forces of a hinge, or of a joint that closes a loop. See :meth:`Run.reactions`."""
+    """Return the forces that pass through a hinge, or a joint that closes a loop.
+
+    Parameters
+    ----------
+    run : Run
+        The motion.
+    name : str
+        Hinge or joint.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
+        on the second body of a joint about its point. Torques of springs, motors and drives in it are
+        among them. If joints depend on others, forces are not unique, and these are the least.
+
+    Raises
+    ------
+    MechanicsError
+        If the hinge is unknown.
+    """
     import pandas as pd
 
     model, bodies = run.model, run.model.bodies
@@ -110,7 +126,11 @@ def _of_joint(moment: Transmitted, model: Assembly, rows: list[int]) -> Floats:
 
 
 def motion(run: Motion) -> "pd.DataFrame":
-    """Coordinates of hinges by name. See :attr:`Run.motion`."""
+    """One row a time: coordinate and rate of each hinge, and torque and power of its motors or drive.
+
+    ``pin``, ``pin rate``. A driven hinge has ``pin drive``, one with motors or torques ``pin torque``
+    and ``pin power``, the sums of all of them. Slides have forces, and balls ``x``, ``y``, ``z``.
+    """
     import pandas as pd
 
     model, tree = run.model, run.model.tree

@@ -55,7 +55,7 @@ class Reading:
 
     def end(self) -> None:
         """Raise if a part is skipped without permission."""
-        self.into.set_left_out({**self.unused, **self.left})
+        self.into.left_out = {**self.unused, **self.left}
         refused_kinds = {kind: where for kind, where in self.left.items() if kind not in self.leave_out}
         if refused_kinds:
             kinds = ", ".join(f'{kind} ("{where}")' for kind, where in sorted(refused_kinds.items()))

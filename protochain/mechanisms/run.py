@@ -1,25 +1,18 @@
 """Result of a simulation: table, coordinates by name, forces of joints, pictures and audit."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from protochain.mechanics import multibody
-from protochain.mechanisms.drawing import Shape
-from protochain.mechanisms.pictures import Movie, movie, strip
-from protochain.mechanisms.reactions import motion, reactions
+from protochain.mechanisms import pictures
+from protochain.mechanisms import reactions as hinge_forces
+from protochain.mechanisms.assembly import Motion
 
 if TYPE_CHECKING:
     import pandas as pd
-    from numpy.typing import ArrayLike
-
-    from protochain.core.figure import Figure
-
-from protochain.mechanisms.assembly import Motion
 
 ROUNDED = 1e3 * float(np.finfo(float).eps)
 """Rounding error, relative to the stored energy."""
@@ -81,101 +74,13 @@ class Run(Motion):
         columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
         return pd.DataFrame(columns)
 
-    @cached_property
-    def motion(self) -> "pd.DataFrame":
-        """One row a time: coordinate and rate of each hinge, and torque and power of its motors or drive.
-
-        ``pin``, ``pin rate``. A driven hinge has ``pin drive``, one with motors or torques ``pin torque``
-        and ``pin power``, the sums of all of them. Slides have forces, and balls ``x``, ``y``, ``z``.
-        """
-        return motion(self)
-
-    def reactions(self, name: str) -> "pd.DataFrame":
-        """Tell the forces that pass through a hinge, or a joint that closes a loop.
-
-        Parameters
-        ----------
-        name : str
-            Hinge or joint.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
-            on the second body of a joint about its point. Torques of springs, motors and drives in it are
-            among them. If joints depend on others, forces are not unique, and these are the least.
-
-        Raises
-        ------
-        MechanicsError
-            If the hinge is unknown.
-        """
-        return reactions(self, name)
-
-    def view(
-        self,
-        path: str | Path | None = None,
-        shapes: Sequence[Shape] | None = None,
-        title: str = "",
-        frames: int = 200,
-    ) -> Movie:
-        """Show the motion in three dimensions: in a notebook, and as a page that works offline.
-
-        Parameters
-        ----------
-        path : str or Path, optional
-            Where to write the page, as ``"motion.html"``.
-        shapes : sequence of Ball, Rod or Block, optional
-            Shapes of bodies. By default rods to joined parts, the balls of contacts, and for
-            bodies without either blocks or balls with their moments of inertia.
-        title : str
-            Its heading.
-        frames : int
-            Most poses.
-
-        Returns
-        -------
-        Movie
-            Drag to turn it, scroll to zoom.
-
-        Raises
-        ------
-        MechanicsError
-            If a shape is none or its body not there.
-        """
-        return movie(self, path, shapes, title, frames)
-
-    def strip(
-        self,
-        times: "ArrayLike | None" = None,
-        shapes: Sequence[Shape] | None = None,
-        along: "ArrayLike | None" = None,
-    ) -> "Figure":
-        """Draw poses side by side.
-
-        Parameters
-        ----------
-        times : (n,) array_like, optional
-            Times. The rows next to these are drawn. By default five, from start to end.
-        shapes : sequence of Ball, Rod or Block, optional
-            As of :meth:`view`.
-        along : (3,) array_like, optional
-            Direction of view. By default the direction in which the motion is flat, or aslant.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Notebooks display it. ``savefig("strip.svg")`` writes it.
-
-        Raises
-        ------
-        MechanicsError
-            If a time is not of the run, a shape is none, or its body not there.
-        """
-        return strip(self, times, shapes, along)
+    motion = cached_property(hinge_forces.motion)
+    reactions = hinge_forces.reactions
+    view = pictures.view
+    strip = pictures.strip
 
     def audit(self) -> Audit:
-        """Say how far energy less work, and momentum, are from constant.
+        """Compute how far energy less work, and momentum, are from constant.
 
         Returns
         -------

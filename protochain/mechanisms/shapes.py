@@ -42,7 +42,7 @@ class Ball:
             raise MechanicsError(f"a ball's body {brief(self.body)}: give the name of a body")
         if number(self.radius, f'the radius of a ball of "{self.body}"') < 0.0:
             raise MechanicsError(f'the radius {self.radius:g} of a ball of "{self.body}" is negative')
-        numbers(self.at, (3,), f'the centre of a ball of "{self.body}"')
+        numbers(self.at, f'the centre of a ball of "{self.body}"')
 
 
 @dataclass(frozen=True)
@@ -266,11 +266,11 @@ def finder(bodies: Bodies, balls: Sequence[Ball], obstacle: Other, name: str) ->
     bound = balls_of(bodies, balls, name)
     if isinstance(obstacle, Plane):
         body = bodies.number(obstacle.body, name)
-        normal = numbers(obstacle.normal, (3,), f"{name}: the normal of the plane")
+        normal = numbers(obstacle.normal, f"{name}: the normal of the plane")
         if not np.any(normal):
             raise MechanicsError(f"{name}: the normal of the plane has no direction")
         _refuse_own(bound, body, name)
-        at = bodies.inside(body, numbers(obstacle.at, (3,), f"{name}: the point of the plane"))
+        at = bodies.inside(body, numbers(obstacle.at, f"{name}: the point of the plane"))
         return OnPlane(bound, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
     if isinstance(obstacle, Surface):
         return _on_surface(bodies, bound, obstacle, name)

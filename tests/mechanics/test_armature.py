@@ -28,7 +28,7 @@ from protochain.mechanics.multibody.articulated import articulate, sample
 from protochain.mechanics.multibody.hamilton import momenta
 from protochain.mechanics.multibody.kinematics import integrate
 from protochain.mechanisms.flexible import dynamics
-from protochain.mechanisms.flexible.canonical import rates_of
+from protochain.mechanisms.flexible.dynamics import rates_of
 from protochain.mechanisms.flexible.flexible import bend
 
 SLOPE = 1e-6

@@ -20,7 +20,7 @@ from protochain.mechanics.motion import (
 )
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
 from protochain.mechanisms import Rosenbrock
-from protochain.mechanisms.march import Event, march
+from protochain.mechanisms.event import Watched, march
 from protochain.mechanisms.rosenbrock import _advance
 
 G = 9.81
@@ -289,7 +289,7 @@ def test_units_of_freedoms():
 
 
 def bouncing(restitution):
-    return Event(
+    return Watched(
         "floor", lambda at: float(at.q[0]), lambda s, at: s.with_velocities(at, -restitution * at.qd)
     )
 
@@ -326,7 +326,7 @@ def test_bounces_shorter_than_the_step_are_seen():
 def test_endless_bounces_are_refused_by_name():
     system = System(slider(), free_fall)
     at = system.at(np.array([1.0]), np.zeros(1))
-    still = Event("floor", lambda at: float(at.q[0]), lambda s, at: at)
+    still = Watched("floor", lambda at: float(at.q[0]), lambda s, at: at)
     for event in (bouncing(0.3), still):
         with pytest.raises(MechanicsError, match="floor: its value is not above zero after its jump"):
             list(march(system, RungeKutta4(), at, 5.0, 0.01, [event]))
@@ -338,9 +338,9 @@ def test_events_of_one_time_follow_each_other_and_the_earliest_comes_first():
 
     def mark(name, place):
         # Not a straight line, so that its zero is found at a time that is rounded otherwise.
-        return Event(name, lambda p: float(np.sinh(place - p.q[0])) / 3.0, lambda s, p: p, passes=True)
+        return Watched(name, lambda p: float(np.sinh(place - p.q[0])) / 3.0, lambda s, p: p, passes=True)
 
-    turn = Event("wall", lambda p: 0.35 - float(p.q[0]), lambda s, p: s.with_velocities(p, -p.qd))
+    turn = Watched("wall", lambda p: 0.35 - float(p.q[0]), lambda s, p: s.with_velocities(p, -p.qd))
     events = [mark("late", 0.34), turn, mark("with the wall", 0.35), mark("early", 0.33)]
     events.append(mark("a moment later", 0.33 + 1e-8))
 

@@ -10,8 +10,13 @@ from scipy.integrate import solve_ivp
 from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import HingeKind
-from protochain.mechanisms.flexible.canonical import canonical_rates, rates_of
-from protochain.mechanisms.flexible.dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.mechanisms.flexible.dynamics import (
+    canonical_rates,
+    forward_dynamics,
+    mass_matrix,
+    momenta,
+    rates_of,
+)
 from protochain.mechanisms.flexible.flexible import bend, elastic
 
 EPS = np.finfo(float).eps

@@ -11,7 +11,7 @@ from fixtures.tolerances import BY_MUJOCO
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.hinge_friction import HingeFriction
-from protochain.mechanisms.stops import Stop
+from protochain.mechanisms.hinge_springs import Stop
 
 mujoco = pytest.importorskip("mujoco")
 

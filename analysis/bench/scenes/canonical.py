@@ -31,8 +31,13 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanisms.assumed import assumed_modes
-from protochain.mechanisms.flexible.canonical import Route, canonical_rates, rates_of
-from protochain.mechanisms.flexible.dynamics import forward_dynamics, multiply_mass
+from protochain.mechanisms.flexible.dynamics import (
+    Route,
+    canonical_rates,
+    forward_dynamics,
+    multiply_mass,
+    rates_of,
+)
 from protochain.mechanisms.flexible.equations import BendingSystem
 from protochain.mechanisms.flexible.flexible import Flexible, bend, elastic
 from protochain.mechanisms.segments import Beam

@@ -9,7 +9,7 @@ from bench.soil.contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.checks import brief, number
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.element_arguments import is_rotation
+from protochain.mechanics.multibody.tree import is_rotation
 
 
 @dataclass(frozen=True)

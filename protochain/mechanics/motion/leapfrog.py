@@ -139,7 +139,7 @@ def _drift(
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
-    before, converged = np.inf, False
+    before = np.inf
     for _ in range(_ITERATIONS):
         middle[:] = q
         for k in range(n_v):
@@ -155,12 +155,11 @@ def _drift(
         # Estimate of the next change, if convergence continues at this rate.
         left = change * change / before if change < before < np.inf else change
         if left < _SETTLED or (change < _NOISE and change >= 0.5 * before):
-            converged = True
             break
         if not change < np.inf:
-            break
+            return True
         before = change
-    if not converged:
+    else:
         return True
     _advance_momenta(links, time_step, qd, gradient, p)
     for k in range(n_v):

@@ -50,28 +50,27 @@ def _drift(
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     gradient, half, rates = np.empty(n_v), np.empty(n_v), np.empty(n_v)
-    before, converged = np.inf, False
+    before = np.inf
     for _ in range(_ITERATIONS):
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, p, gradient)
         for k in range(n_v):
             half[k] = kicked[k] + h * gradient[k]
             rates[k] = half[k]
-        _turn_roots(links, h, qd, rates)
+        _rotate_roots(links, h, qd, rates, True)
         _solve(links, bodies, rotation, origin, gain, pivot, root, carried, rates)
         change = _replace(qd, rates)
-        converged = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
-        if converged:
+        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
             break
         before = change
-    if not converged:
+    else:
         return True
-    _carry_roots(links, h, qd, half)
+    _rotate_roots(links, h, qd, half, False)
 
     for k in range(n_v):
         rates[k] = h * qd[k]
     move_along(links, rates, q)
     middle = q.copy()
-    before, converged = np.inf, False
+    before = np.inf
     for _ in range(_ITERATIONS):
         q[:] = middle
         for k in range(n_v):
@@ -81,7 +80,7 @@ def _drift(
         put_rigid(new_rotation, bodies, packed)
         for k in range(n_v):
             rates[k] = half[k]
-        _turn_roots(links, h, qd, rates)
+        _rotate_roots(links, h, qd, rates, True)
         carried[:] = 0.0
         failed = factorise(
             links, bodies, new_rotation, new_origin, packed, new_gain, new_pivot, new_root, carried, rates
@@ -90,14 +89,13 @@ def _drift(
             return True
         outward_rates(links, bodies, new_rotation, new_origin, new_gain, new_root, carried, rates)
         change = _replace(qd, rates)
-        converged = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
-        if converged:
+        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
             break
         before = change
-    if not converged:
+    else:
         return True
     put_momenta(links, bodies, new_rotation, new_origin, qd, twists, carried, p, gradient)
-    _carry_roots(links, h, qd, half)
+    _rotate_roots(links, h, qd, half, False)
     for k in range(n_v):
         p[k] = half[k] + h * gradient[k]
     return False
@@ -127,18 +125,10 @@ def _replace(old: Floats, new: Floats) -> float:
 
 
 @kernel
-def _turn_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Apply dexp of the rotation over half a step to the angular momenta of free roots."""
+def _rotate_roots(links: Integers, h: float, qd: Floats, p: Floats, by_tangent: bool) -> None:
+    """Apply the rotation over half a step, or its dexp, to the angular momenta of free roots."""
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:
-            put_at(tangent(scale(h, vector_at(qd, k)), vector_at(p, k)), p, k)
-
-
-@kernel
-def _carry_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Rotate the angular momenta of free roots by the rotation over half a step."""
-    for b in range(len(links) - 1):
-        k = links[b, V]
-        if links[b + 1, V] - k == 6:
-            put_at(turn_by(scale(h, vector_at(qd, k)), vector_at(p, k)), p, k)
+            xi, angular = scale(h, vector_at(qd, k)), vector_at(p, k)
+            put_at(tangent(xi, angular) if by_tangent else turn_by(xi, angular), p, k)

@@ -67,18 +67,14 @@ def accelerations(tree: Tree, q: Floats, qd: Floats, tau: Floats) -> Floats:
 
 def _solve(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floats:
     """Overwrite torques in ``x`` by accelerations, and the external ``loads``."""
-    if not tree.is_plain:
-        return _by_parts(tree, q, qd, x, loads)
-    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
-    return x
-
-
-def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> Floats:
-    """Accelerations by separate sweeps, if hinges are driven or bodies have no mass."""
+    if tree.is_plain:
+        refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
+        return x
+    # Separate sweeps, if hinges are driven or bodies have no mass.
     frames, prescribed = pose(tree, q), np.zeros(tree.n_v)
     prescribed[tree.driven_v] = x[tree.driven_v]
-    loads = newton_euler.inertial_loads(tree, frames, qd, prescribed) - wrench
-    return solve(articulate(tree, frames), x, loads) + prescribed
+    inertial = newton_euler.inertial_loads(tree, frames, qd, prescribed)
+    return solve(articulate(tree, frames), x, inertial - loads) + prescribed
 
 
 @kernel

@@ -114,7 +114,7 @@ class Tree(Value):
             object.__setattr__(self, name, array)
         _check_topology(self)
         object.__setattr__(self, "driven", _check_driven(self))
-        _check_geometry(self)
+        _refuse(~is_rotation(self.placement), "its placement is not a rotation")
         _check_inertia(self)
 
     @property
@@ -340,12 +340,6 @@ def _check_driven(tree: Tree) -> NDArray[np.bool_] | None:
     return read_only(driven, np.bool_) if np.any(driven) else None
 
 
-def _check_geometry(tree: Tree) -> None:
-    product = tree.placement @ tree.placement.swapaxes(1, 2)
-    skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
-    _refuse(skew, "its placement is not a rotation")
-
-
 def _check_inertia(tree: Tree) -> None:
     _refuse(tree.mass < 0, "its mass {:g} must not be negative", tree.mass)
     nominal = np.zeros(tree.n_bodies, dtype=bool) if tree.nominal is None else tree.nominal
@@ -377,6 +371,13 @@ def is_inertia(tensor: Floats) -> NDArray[np.bool_]:
     # No moment exceeds the sum of the other two.
     tolerance = 1e-9 * np.sum(moments, axis=1)
     return (moments[:, 2] - moments[:, 1] - moments[:, 0] <= tolerance) & (moments[:, 2] >= 0.0)
+
+
+def is_rotation(matrix: Floats) -> NDArray[np.bool_]:
+    """Whether finite matrices (n, 3, 3) are rotations: (n,) bool."""
+    product = matrix @ matrix.swapaxes(1, 2)
+    is_orthonormal = np.all(np.abs(product - np.eye(3)) <= 1e-9, axis=(1, 2))
+    return is_orthonormal & (np.linalg.det(matrix) > 0.0)
 
 
 def _carries_nothing(tree: Tree) -> np.ndarray:

@@ -1,10 +1,14 @@
-"""Rigid and flexible bodies in an impact: their velocities, and the changes of these by impulses."""
+"""Rigid and flexible bodies in an impact: velocities, and their changes by impulses, also by given ones."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from protochain.core.arrays import Floats, Value
+from protochain.core.arrays import Floats, Value, floats
+from protochain.core.checks import brief
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import velocities
 from protochain.mechanics.multibody.operational import Rows, operational_inverse
@@ -84,16 +88,15 @@ class Bending(Value):
     def inverse(self, rows: Rows) -> Floats:
         """(m, m) float: inverse inertia G M^-1 G^T of rows G, O(n m)."""
         inverse = np.empty((len(rows.body), len(rows.body)))
-        for i, (bodies, wrenches) in enumerate(zip(rows.body, rows.wrench, strict=True)):
-            load = np.zeros((len(self.origin), 6))
-            on = bodies >= 0
-            np.add.at(load, bodies[on], wrenches[on])
-            inverse[:, i] = row_speeds(self, rows, self.change(load))
+        for i, unit in enumerate(np.eye(len(inverse))):
+            inverse[:, i] = row_speeds(self, rows, self.change(loads_of(self, rows, unit)))
         return inverse
 
 
 Bodies = RigidBodies | Bending
 """Bodies at one pose. Those that bend count node by node."""
+External = Mapping[int, tuple[ArrayLike, ArrayLike]]
+"""Given impulses, as of a hammer. Body -> world point (3,) and impulse on the body there (3,), world axes."""
 
 
 def bodies_of(factors: Articulated | Bending) -> Bodies:
@@ -111,3 +114,40 @@ def twists_of(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:
 def row_speeds(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:
     """(m,) float: velocities along the rows."""
     return np.asarray(np.einsum("msk,msk->m", rows.wrench, twists_of(bodies, rows, qd)))
+
+
+def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:
+    """(nb, 6) float: impulses (m,) along rows as wrenches on the bodies."""
+    loads = np.zeros((len(bodies.origin), 6))
+    for side in (0, 1):
+        on = rows.body[:, side] >= 0
+        np.add.at(loads, rows.body[on, side], impulses[on, None] * rows.wrench[on, side])
+    return loads
+
+
+def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, float]:
+    """Velocities (n_v,) after given impulses, from velocities qd (n_v,), and the work of the impulses."""
+    wrench = np.zeros((len(bodies.origin), 6))
+    for body, (point, impulse) in check_external(external, len(wrench)).items():
+        wrench[body] = *np.cross(point - bodies.origin[body], impulse), *impulse
+    after = qd + bodies.change(wrench)
+    return after, 0.5 * float(np.sum(wrench * bodies.twists(qd + after)))
+
+
+def check_external(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
+    """Body -> world point and impulse, of n bodies. Raise MechanicsError for invalid ones."""
+    if not isinstance(external, Mapping):
+        raise MechanicsError(f"external {brief(external)}: give {{body: (point, impulse)}}")
+    impulses = {}
+    for body, blow in external.items():
+        if isinstance(body, bool) or not isinstance(body, int | np.integer) or not 0 <= body < n:
+            raise MechanicsError(f"external: there is no body {brief(body)}; give a number from 0 to {n - 1}")
+        label = f"external, body {body}"
+        if not (isinstance(blow, tuple | list | np.ndarray) and len(blow) == 2):
+            raise MechanicsError(f"{label}: give a pair, (point, impulse)")
+        pair = floats(blow[0], (3,), f"{label}: point"), floats(blow[1], (3,), f"{label}: impulse")
+        for quantity, values in zip(("point", "impulse"), pair, strict=True):
+            if not np.isfinite(values).all():
+                raise MechanicsError(f"{label}: its {quantity} is not finite", fault=Fault.NOT_FINITE)
+        impulses[int(body)] = pair
+    return impulses

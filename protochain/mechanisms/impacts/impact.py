@@ -18,9 +18,15 @@ from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanisms.impacts import complementarity
 from protochain.mechanisms.impacts import path as impulse_path
-from protochain.mechanisms.impacts.bodies import Bending, Bodies, bodies_of, row_speeds
-from protochain.mechanisms.impacts.bound import bound_of
-from protochain.mechanisms.impacts.external import External, strike
+from protochain.mechanisms.impacts.bodies import (
+    Bending,
+    Bodies,
+    External,
+    bodies_of,
+    loads_of,
+    row_speeds,
+    strike,
+)
 from protochain.mechanisms.impacts.points import ContactPoint, Struck
 
 Law = Literal["newton", "poisson", "stronge"]
@@ -31,6 +37,8 @@ _LAWS = {"newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "strong
 _ORDERS = ("together", "in turn")
 _TURNS = 1000
 """Turns after which all points that still approach stop together. Endless impacts have ever less effect."""
+_ROUND_OFF = 1e-12
+"""Of the largest inverse inertia. Smaller ones count as zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +176,56 @@ def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
     return impact(factors, qd, (), loops=rows).qd
 
 
+def friction_bound(
+    factors: Articulated | Bending, points: Sequence[ContactPoint], loops: Rows | None = None
+) -> float:
+    """Coefficient of friction below which impacts of points together have one solution, whatever the speeds.
+
+    Parameters
+    ----------
+    factors : Articulated or Bending
+        Bodies, as for :func:`impact`.
+    points : sequence of ContactPoint
+        Points of contact. Their own friction is not read.
+    loops : Rows, optional
+        Constraint rows that act at all times.
+
+    Returns
+    -------
+    float
+        Bound sqrt(s / w): s the least eigenvalue of W_nn - W_nt W_tt^-1 W_tn, w the largest of W_tt. Infinite
+        without points or tangential motion. 0, without information, if impulses of points are dependent.
+
+    Raises
+    ------
+    MechanicsError
+        If M is singular.
+
+    Notes
+    -----
+    Friction of bounds g = mu L_n is the least of a convex function of u, whose solutions of two g are apart
+    by e with ``e^T W^-1 e <= |dg| |e_t|``. As ``|e_t|^2 <= w e^T W^-1 e`` and ``s |dL_n|^2 <= e^T W^-1 e``, a
+    round of g -> mu L_n leaves at most mu sqrt(w / s) of the distance of two g: below 1 there is one fixed
+    point, by Banach. Sufficient, not necessary. As Haslinger, Math. Methods Appl. Sci. 5:422 (1983), of
+    elastic bodies.
+    """
+    struck = Struck.of(factors, np.zeros(bodies_of(factors).n_v), points, loops)
+    return bound_of(struck.w)
+
+
+def bound_of(w: Floats) -> float:
+    """Bound of :func:`friction_bound` for an inverse inertia (3 k, 3 k)."""
+    normal = np.arange(len(w)) % 3 == 0
+    if not len(w):
+        return np.inf
+    nn, nt, tt = w[np.ix_(normal, normal)], w[np.ix_(normal, ~normal)], w[np.ix_(~normal, ~normal)]
+    largest = float(np.linalg.eigvalsh(tt)[-1])
+    if largest <= _ROUND_OFF * np.abs(w).max():
+        return np.inf
+    least = float(np.linalg.eigvalsh(nn - nt @ np.linalg.pinv(tt, _ROUND_OFF, hermitian=True) @ nt.T)[0])
+    return float(np.sqrt(least / largest)) if least > _ROUND_OFF * np.abs(w).max() else 0.0
+
+
 def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> Impact:
     """Result of impulses (3 k,) along the points' axes. Work done before is added."""
     bodies, k = struck.bodies, len(struck.axes)
@@ -182,15 +240,6 @@ def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> I
     )
     lost = -0.5 * float(impulses @ (before + after))
     return Impact(freeze(qd), impulse, seen, left, read_only(compression), freeze(loops), work - lost, lost)
-
-
-def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:
-    """(nb, 6) float: impulses (m,) along rows as wrenches on the bodies."""
-    loads = np.zeros((len(bodies.origin), 6))
-    for side in (0, 1):
-        on = rows.body[:, side] >= 0
-        np.add.at(loads, rows.body[on, side], impulses[on, None] * rows.wrench[on, side])
-    return loads
 
 
 def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanisms.impacts.bodies import RigidBodies
-from protochain.mechanisms.impacts.external import External, check_external
+from protochain.mechanisms.impacts.bodies import External, RigidBodies, check_external
 from protochain.mechanisms.impacts.impact import Impact
 from protochain.mechanisms.impacts.points import ContactPoint
 
@@ -67,7 +66,7 @@ def impulse_stress(
         if body >= 0:
             arm = at - frames.origin[body]
             loads[body] += *(np.cross(arm, impulse) + couple), *impulse
-            out[body] += np.outer(impulse, arm) + 0.5 * _cross(couple)
+            out[body] += np.outer(impulse, arm) + 0.5 * np.cross(np.eye(3), couple)
 
     none = np.zeros(3)
     for point, impulse in zip(points, found.impulse, strict=True):
@@ -81,16 +80,11 @@ def impulse_stress(
         axes = frames.rotation[b]
         inertia, centre, mass = axes @ tree.inertia[b] @ axes.T, axes @ tree.com[b], tree.mass[b]
         spread = 0.5 * np.trace(inertia) * np.eye(3) - inertia + mass * np.outer(centre, centre)
-        moved = np.outer(mass * shift, centre) + _cross(turn) @ spread
+        moved = np.outer(mass * shift, centre) + np.cross(np.eye(3), turn) @ spread
         momentum = mass * (shift + np.cross(turn, centre))
         # Twice the part of rho dv r^T that is not symmetric is the moment of momentum.
         moment = np.array([moved[2, 1] - moved[1, 2], moved[0, 2] - moved[2, 0], moved[1, 0] - moved[0, 1]])
         through = np.concatenate([moment, momentum]) - loads[b]
-        out[b] += 0.5 * _cross(through[:3]) - moved
+        out[b] += 0.5 * np.cross(np.eye(3), through[:3]) - moved
         push(int(tree.parent[b]), frames.origin[b], -through[3:], -through[:3])
     return out
-
-
-def _cross(v: Floats) -> Floats:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -20,9 +20,9 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.elements import Sum
+from protochain.mechanisms.hinge_springs import Torsions
 from protochain.mechanisms.linear_springs import STIFFNESS
 from protochain.mechanisms.model import Model
-from protochain.mechanisms.torsion import Torsions
 
 _PARALLEL = 1e-9
 """Largest part of the start's velocities that no shape has, of their size."""

@@ -9,8 +9,8 @@ from bench.cases import Found, check, vanishes
 from bench.scenes.impact.systems import Blow, G, dropped
 from protochain.mechanics.motion import DormandPrince, Phase, System
 from protochain.mechanisms import Model
+from protochain.mechanisms.event import Watched, march
 from protochain.mechanisms.impacts import impact
-from protochain.mechanisms.march import Event, march
 
 HEIGHT, KEPT = 1.0, 0.5
 """m; restitution."""
@@ -34,7 +34,7 @@ def bounce(model: Model, ends: bool, until: float = 9.0) -> tuple[pd.DataFrame, 
             after = np.zeros(1)
         return system.with_velocities(at, after)
 
-    floor = Event("floor", lambda at: float(at.q[0]), jump)
+    floor = Watched("floor", lambda at: float(at.q[0]), jump)
     for _ in march(model.system, DormandPrince(1e-12), model.start(), until, 0.1, [floor]):
         if rest[0] < np.inf:
             break
