@@ -26,7 +26,7 @@ from protochain.core.checks import (
     several,
 )
 from protochain.core.errors import Argument, ProtochainError, refusal
-from protochain.core.settings import Setting, document_fields, document_settings, setting, settings_of
+from protochain.core.settings import Setting, document_fields, setting, settings_of
 from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
@@ -44,22 +44,12 @@ from protochain.structure.preparation.read import model_numbers
 _GLOB = frozenset("*?[")
 
 
-@document_settings()
+@document_fields
 @dataclass(frozen=True)
 class BatchSettings(StartSettings, MinimiseSettings):
     """Settings for the preparation and the methods of each structure of a batch.
 
-    Parameters
-    ----------
-    methods : tuple of str
-        Methods of :func:`protochain.minimise`, and ``relax``. Each runs from the same start.
-    setup : Setup
-        Settings for preparing the structure. ``threads`` is set by the batch.
-    relaxing : RelaxSettings
-        Settings of ``relax``. A tolerance and restraints of the batch, but no springs, replace those here.
-    tolerance : float, optional
-        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` for several
-        starts. By default, each uses its own default.
+    By default, each method uses its own tolerance.
 
     Raises
     ------
@@ -67,8 +57,11 @@ class BatchSettings(StartSettings, MinimiseSettings):
         If a setting is invalid.
     """
 
+    # Methods of :func:`protochain.minimise`, and ``relax``. Each runs from the same start.
     methods: tuple[str, ...] = setting((defaults.METHOD,), "", several)
+    # Settings for preparing the structure. ``threads`` is set by the batch.
     setup: Setup = field(default_factory=Setup)
+    # Settings of ``relax``. A tolerance and restraints of the batch, but no springs, replace those here.
     relaxing: RelaxSettings = field(default_factory=RelaxSettings)
 
     def __post_init__(self) -> None:

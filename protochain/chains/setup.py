@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from protochain.core import checks, defaults
 from protochain.core.checks import NO_BONDS, Bond, LigandSource
 from protochain.core.errors import Argument, ProtochainError, refusal
-from protochain.core.settings import Settings, document_settings, setting
+from protochain.core.settings import Settings, document_fields, setting
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -37,20 +37,10 @@ class Prepared(NamedTuple):
         return self.energy
 
 
-@document_settings()
+@document_fields
 @dataclass(frozen=True)
 class Setup(Settings):
     """Settings for reading a structure, its rigid bodies and its energy.
-
-    Parameters
-    ----------
-    hinges, root, move : str
-        As in :func:`protochain.build_chain`.
-    rebuild_side_chains : str
-        Residues whose side chains are rebuilt together from the backbone alone: ``all``, or a selection.
-    sequence : str
-        Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains. Side chains of
-        mutated residues are built.
 
     Raises
     ------
@@ -64,12 +54,14 @@ class Setup(Settings):
     10
     """
 
+    # As in :func:`protochain.build_chain`.
     hinges: str = setting(
         defaults.HINGES,
         "Degrees of freedom: any of phi psi omega chi polar rotors angles nucleic ligand glycan.",
         checks.kinds,
     )
-    root: str = setting(defaults.ROOT, "", checks.text)
+    root: str = setting(defaults.ROOT, "", checks.text)  # As in :func:`protochain.build_chain`.
+    # As in :func:`protochain.build_chain`.
     move: str = setting(
         defaults.MOVE,
         "Mobile atoms, in MDAnalysis's selection language, with sidechain, ligand, interface: 'resid 5:20'.",
@@ -197,7 +189,10 @@ class Setup(Settings):
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", checks.flag, bool
     )
+    # Residues whose side chains are rebuilt together from the backbone alone: ``all``, or a selection.
     rebuild_side_chains: str = setting("", "", checks.text)
+    # Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains. Side chains of
+    # mutated residues are built.
     sequence: str = setting("", "", checks.sequences)
 
     def __post_init__(self) -> None:

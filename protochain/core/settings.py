@@ -9,7 +9,7 @@ import linecache
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -75,14 +75,13 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
 
 
 def document_settings(*kinds: type) -> Callable[[Documented], Documented]:
-    """Decorate a function, or a class of settings: its docstring gets an entry for each of the settings."""
+    """Decorate a function: its docstring gets an entry for each setting of these classes."""
 
     def decorate(target: Documented) -> Documented:
         text = inspect.getdoc(target) or ""  # There is none if Python optimises.
         before, heading, after = text.partition("Parameters\n----------\n")
         written, end, tail = after.partition("\n\n")
-        described: Sequence[Any] = kinds or (target,)
-        entries = {item.name: _entry(item) for kind in described for item in fields(kind) if item.metadata}
+        entries = {item.name: _entry(item) for kind in kinds for item in fields(kind) if item.metadata}
         # An entry of the docstring itself may be of several parameters.
         for entry in re.split(r"\n(?=\S)", written):
             entries |= dict.fromkeys(entry.partition(" : ")[0].split(", "), entry)
@@ -114,7 +113,7 @@ _COMMENT = re.compile(r"(?:([^A-Z`:][^:]*|K): )?(.*)")
 
 
 def document_fields(kind: type[Made]) -> type[Made]:
-    """Decorate a dataclass: its docstring gets an entry for each field that has a comment.
+    """Decorate a dataclass: its docstring gets an entry for each setting, and for each field with a comment.
 
     The comment is above or behind the field. It may begin with a unit, as ``nm: Distance.``, or with a shape
     and unit in place of the type, as ``(n, 3) float, nm: Positions.``
@@ -128,8 +127,11 @@ def document_fields(kind: type[Made]) -> type[Made]:
             described = unit if unit.startswith("(") else ", ".join(filter(None, parts))
             if text:
                 entries.setdefault(name, _entry_of(name, described, text))
+    for item in fields(kind):  # type: ignore[arg-type]  # a dataclass
+        if item.metadata:
+            entries.setdefault(item.name, _entry(item))
     before, *sections = re.split(r"\n\n(?=\w+\n---)", inspect.getdoc(kind) or "", maxsplit=1)
-    listed = [entries[item.name] for item in fields(kind) if item.name in entries]  # type: ignore[arg-type]  # a dataclass
+    listed = [entries[name] for name in inspect.signature(kind).parameters if name in entries]
     kind.__doc__ = "\n\n".join([before, "\n".join(["Parameters\n----------", *listed]), *sections]) + "\n"
     return kind
 

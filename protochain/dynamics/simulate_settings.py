@@ -23,7 +23,7 @@ from protochain.core.checks import (
     text,
 )
 from protochain.core.errors import Argument, ProtochainError, refusal
-from protochain.core.settings import Settings, document_fields, document_settings, setting
+from protochain.core.settings import Settings, document_fields, setting
 from protochain.core.units import MOLAR_GAS
 
 LONGEST_STEP = 0.5
@@ -35,19 +35,10 @@ FARTHEST_PULL = 0.1
 """nm. An atom's radius. A speed that moves a spring farther in a step was probably meant in other units."""
 
 
-@document_settings()
+@document_fields
 @dataclass(frozen=True)
 class Pull(Settings):
     """Spring between two places of a structure, whose rest length changes at constant speed.
-
-    Parameters
-    ----------
-    between : pair of str, or str
-        Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
-        residue, ``A:20``, or a selection in MDAnalysis's language means its centre of mass. Two of these in
-        one text are separated by a dash with blanks, ``" - "``.
-    speed : float, nm/ps
-        At which its rest length grows from the initial distance. Below 0 it shrinks, at most to 0.
 
     Raises
     ------
@@ -60,6 +51,9 @@ class Pull(Settings):
     ('A:1:N', 'A:20:C')
     """
 
+    # Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
+    # residue, ``A:20``, or a selection in MDAnalysis's language means its centre of mass. Two of these in one
+    # text are separated by a dash with blanks, ``" - "``.
     between: tuple[str, str] = setting(
         MISSING,
         "Pull two atoms apart by a moving spring, or residues (A:1-A:20), or selections around ' - '.",
@@ -75,6 +69,7 @@ class Pull(Settings):
         "--pull-stiffness",
         metavar="K",
     )
+    # nm/ps: At which its rest length grows from the initial distance. Below 0 it shrinks, at most to 0.
     speed: float = setting(
         defaults.PULL_SPEED,
         "Speed of the spring's length, nm/ps, below 0 together, 0 constant.",

@@ -11,27 +11,15 @@ from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, in_range, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.settings import Settings, document_settings, setting
+from protochain.core.settings import Settings, document_fields, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 
 
-@document_settings()
+@document_fields
 @dataclass(frozen=True)
 class RelaxSettings(Settings):
     """Settings of a relaxation.
-
-    Parameters
-    ----------
-    preset : str
-        ``predicted`` for models: springs from all heavy atoms to the input. ``crystal``: weaker on side
-        chains. ``design``: on the backbone alone, weakened and removed in three stages, after soft repulsion.
-    protocol : str
-        ``alphafold`` for AlphaFold's force field (amber99sb), solvent (vacuum), springs and tolerance, for
-        comparisons. Unlike in AlphaFold, bonds to hydrogen are not constrained. Empty for none.
-    rebuild_side_chains, sequence : str
-        As in :class:`protochain.Setup`: selection of side chains to rebuild from the backbone, or ``all``,
-        and a sequence to build on the backbone.
 
     Raises
     ------
@@ -39,7 +27,11 @@ class RelaxSettings(Settings):
         If a setting makes no sense.
     """
 
+    # ``predicted`` for models: springs from all heavy atoms to the input. ``crystal``: weaker on side chains.
+    # ``design``: on the backbone alone, weakened and removed in three stages, after soft repulsion.
     preset: str = setting(defaults.PRESET, "Springs to the input: predicted, crystal or design.", text)
+    # ``alphafold`` for AlphaFold's force field (amber99sb), solvent (vacuum), springs and tolerance, for
+    # comparisons. Unlike in AlphaFold, bonds to hydrogen are not constrained. Empty for none.
     protocol: str = setting(
         "", "alphafold: amber99sb in vacuum, for comparison (X-H bonds are not constrained here).", text
     )
@@ -88,10 +80,12 @@ class RelaxSettings(Settings):
         "selection language of MDAnalysis: ``chainID A``, ``interface A B``. Input side chains are "
         "candidates, too. Implies ``repack``.",
     )  # fmt: skip
+    # As in :class:`protochain.Setup`: selection of side chains to rebuild from the backbone, or ``all``.
     rebuild_side_chains: str = setting(
         "", "First rebuild side chains on rotamers: all, or those of a selection.", text,
         metavar="all|SELECTION",
     )  # fmt: skip
+    # As in :class:`protochain.Setup`: sequence to build on the backbone.
     sequence: str = setting(
         "", "First mutate the backbone to this sequence: a FASTA file, or letters, with / between chains.",
         sequences, metavar="FASTA",
