@@ -64,9 +64,7 @@ def relax(
     frames: Chosen = None,
     timings: options.Timings = False,
     as_json: options.AsJson = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Allow outputs to replace files, also the input.")
-    ] = False,
+    force: options.Force = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,

@@ -18,6 +18,7 @@ from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANC
 from protochain.energies import Energy
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
+from protochain.minimisers.solution import alpha_residues
 from protochain.structure import Structure
 from protochain.structure.matching import match, structure_to_measure
 from protochain.structure.superpose import motion
@@ -217,19 +218,13 @@ class NormalModes(Value):
         s = self.chain.structure
         squares = self.mean_squares(temperature)
         alpha = s.alpha_carbons
-        residue = s.atom_residue[alpha]
         heavy = s.atom_element != "H"
         means = means_by(s.atom_residue[heavy], squares[heavy], s.n_residues)
-        return pd.DataFrame(
-            {
-                "chain": s.residue_chain[residue],
-                "residue": np.char.add(s.residue_number, s.residue_insertion_code)[residue],
-                "name": s.residue_name[residue],
-                "ca_fluctuation_angstrom": np.sqrt(squares[alpha]),
-                "ca_b_factor_angstrom2": _B * squares[alpha],
-                "b_factor_angstrom2": _B * means[residue],
-                "ca_b_factor_in_file_angstrom2": s.b_factor[alpha],
-            }
+        return alpha_residues(s).assign(
+            ca_fluctuation_angstrom=np.sqrt(squares[alpha]),
+            ca_b_factor_angstrom2=_B * squares[alpha],
+            b_factor_angstrom2=_B * means[s.atom_residue[alpha]],
+            ca_b_factor_in_file_angstrom2=s.b_factor[alpha],
         )
 
     @property
@@ -303,10 +298,8 @@ class NormalModes(Value):
                 f"{start.name} and {target.name}: fewer than three residues match; give another structure"
             )
         alpha_indices, atoms = (np.array(side) for side in zip(*pairs, strict=True))
-        start_positions, end_positions = (
-            start.positions[start.alpha_carbons[alpha_indices]],
-            target.positions[atoms],
-        )
+        start_positions = start.positions[start.alpha_carbons[alpha_indices]]
+        end_positions = target.positions[atoms]
         turn, shift = motion(end_positions, start_positions)
         change = end_positions @ turn.T + shift - start_positions
         modes = np.array([_without_rigid(mode[alpha_indices], start_positions) for mode in self._alphas])
@@ -400,10 +393,8 @@ class NormalModes(Value):
         )
 
     def __repr__(self) -> str:
-        name, low = (
-            self.chain.structure.name,
-            ", ".join(f"{frequency:.3g}" for frequency in self.frequencies[:3]),
-        )
+        name = self.chain.structure.name
+        low = ", ".join(f"{frequency:.3g}" for frequency in self.frequencies[:3])
         return f"<NormalModes of {name}: {self.n_modes} modes, {low} ... 1/cm; {self.verdict}>"
 
 
