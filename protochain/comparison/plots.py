@@ -132,7 +132,7 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
     values = rmsd.to_numpy()
     image = right.imshow(values, cmap="cividis_r", vmin=0.0)
     ticks = np.arange(len(rmsd))
-    right.set_xticks(ticks, list(rmsd.columns))
+    right.set_xticks(ticks, list(rmsd.columns), rotation=35.0, ha="right", rotation_mode="anchor")
     right.set_yticks(ticks, list(rmsd.index))
     for i in ticks:
         for j in ticks:

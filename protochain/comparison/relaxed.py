@@ -49,7 +49,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
 
 
 _NAMED = 10
-"""Number of residues that are listed for each kind."""
+"""Number of residues that are listed as those that moved or turned most."""
 _MOVED, _TURNED = 0.1, 10.0
 """Least displacement of a C-alpha, angstrom, and change of torsions (RMS), degrees, of listed residues."""
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
@@ -83,7 +83,7 @@ def named_residues(
             ]  # fmt: skip
     keys = residue_keys(s)
     return {
-        label: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in residues[:_NAMED]]
+        label: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in residues]
         for label, residues in groups.items() if residues
     }  # fmt: skip
 
