@@ -10,7 +10,7 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import optional
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import Frames, algebra
-from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import WORLD, end_of
 from protochain.mechanics.multibody.rotations import tangent_inverse
 from protochain.mechanisms.bodies import Bodies
@@ -190,20 +190,14 @@ def _resist(
         # Where a's point is, both bodies have a velocity; their difference is the rate of d in b's axes.
         arm_b = add(arm_b, subtract(place_a, place_b))
         along = axes_of(rotation, b, algebra.matrix(axes, i))
-        spin = subtract(_spin_of(twists, a), _spin_of(twists, b))
+        spin_a = algebra.vector(twists, a, 0) if a >= 0 else ZERO
+        spin_b = algebra.vector(twists, b, 0) if b >= 0 else ZERO
         speed = subtract(speed_of(twists, a, arm_a), speed_of(twists, b, arm_b))
-        w, u = algebra.rotate(along, spin), algebra.rotate(along, speed)
+        w, u = algebra.rotate(along, subtract(spin_a, spin_b)), algebra.rotate(along, speed)
         c, e = algebra.vector(damping, i, 0), algebra.vector(damping, i, 3)
         moment = algebra.rotate_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
         force = algebra.rotate_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
         _apply(moment, force, a, b, arm_a, arm_b, wrenches)
-
-
-@kernel
-def _spin_of(twists: Floats, b: int) -> Vector:
-    if b < 0:
-        return 0.0, 0.0, 0.0
-    return algebra.vector(twists, b, 0)
 
 
 @kernel
@@ -214,6 +208,6 @@ def _apply(
     push(force, arm_a, a, wrenches)
     push(scale(-1.0, force), arm_b, b, wrenches)
     if a >= 0:
-        algebra.add_pair(moment, (0.0, 0.0, 0.0), wrenches, a)
+        algebra.add_pair(moment, ZERO, wrenches, a)
     if b >= 0:
-        algebra.add_pair(scale(-1.0, moment), (0.0, 0.0, 0.0), wrenches, b)
+        algebra.add_pair(scale(-1.0, moment), ZERO, wrenches, b)

@@ -1,6 +1,6 @@
 """Forces between bodies that press on each other, and the anchors of their friction from step to step."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 """Constants of a contact."""
 
 
-@dataclass(frozen=True, eq=False)
-class Anchors:
+class Anchors(NamedTuple):
     """Anchors of friction springs: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
 
     pair: Integers
@@ -57,8 +56,7 @@ class ContactForces:
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the elastic forces."""
-        _, ends, place, normal, depth = self.touches(frames)
-        energy: float = _press(frames.origin, ends, place, normal, depth, self.constants, wrenches)
+        energy: float = _press(frames.origin, *self.touches(frames)[1:], self.constants, wrenches)
         return energy
 
     def resist(self, time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
@@ -66,23 +64,16 @@ class ContactForces:
         touches = self.touches(frames)
         wrenches = np.zeros((self.tree.n_bodies, 6))
         if len(touches.pair):
-            _, ends, place, normal, depth = touches
-            twists = multibody.velocities(self.tree, frames, qd)
-            _resist(
-                frames.origin, twists, ends, place, normal, depth, self.stretches(frames, touches),
-                self.constants, wrenches,
-            )  # fmt: skip
+            twists, stretch = multibody.velocities(self.tree, frames, qd), self.stretches(frames, touches)
+            _resist(frames.origin, twists, *touches[1:], stretch, self.constants, wrenches)
         return Applied(wrenches)
 
     def stretches(self, frames: Frames, touches: Touches) -> Floats:
         """(k, 3) float: springs of friction, zero for pairs without an anchor."""
         separation = np.zeros((len(touches.pair), 3))
         if len(self.anchors.pair):
-            arms, ends = self.anchors.arms, touches.ends
-            _stretch(
-                frames.rotation, frames.origin, touches.pair, ends, touches.normal, self.anchors.pair, arms,
-                separation,
-            )  # fmt: skip
+            ends = touches.pair, touches.ends, touches.normal
+            _stretch(frames.rotation, frames.origin, *ends, *self.anchors, separation)
         return separation
 
     def begin(self, start: Phase) -> None:
@@ -117,10 +108,7 @@ class ContactForces:
         stretch = self.stretches(frames, touches)
         twists = multibody.velocities(self.tree, frames, at.qd)
         arms = np.empty((len(stretch), 6))
-        _, ends, place, normal, depth = touches
-        _drag(
-            frames.rotation, frames.origin, twists, ends, place, normal, depth, stretch, self.constants, arms
-        )
+        _drag(frames.rotation, frames.origin, twists, *touches[1:], stretch, self.constants, arms)
         self.anchors = Anchors(touches.pair, arms)
 
 

@@ -111,8 +111,8 @@ def sort_into_cells(x: Floats, edge: float) -> tuple[Integers, Integers, Integer
 def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
     """Pairs of :func:`touching`, cell by cell, for an edge of at least the largest diameter."""
     order, cell, start, size = sort_into_cells(centre, edge)
-    n, places, room, count = len(order), len(start) - 1, 1024, 0
-    pairs = np.empty((room, 2), np.int64)
+    n, places, count = len(order), len(start) - 1, 0
+    pairs = np.empty((1024, 2), np.int64)
     x, r = np.empty((n, 3)), np.empty(n)
     for a in range(n):
         i = order[a]
@@ -129,9 +129,8 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
             beyond = place + width - places
             b, end = start[place] if row else a + 1, start[min(place + width, places)]
             for _ in range(2 if beyond > 0 else 1):
-                while count + end - b > room:
-                    room *= 2
-                    pairs = wider(pairs, room)
+                while count + end - b > len(pairs):
+                    pairs = np.concatenate((pairs, pairs))
                 for k in range(b, end):
                     dx, dy, dz = (x[a, 0] - x[k, 0], x[a, 1] - x[k, 1], x[a, 2] - x[k, 2])
                     reach, step = r[a] + r[k], cell[k] - target
@@ -141,16 +140,6 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
                     count += near & (step >= 0) & (step < width)
                 b, end = 0, start[max(beyond, 0)]
     return pairs[:count].copy()
-
-
-@kernel
-def wider(rows: Integers, room: int) -> Integers:
-    """Rows, and room for more behind them."""
-    pairs_found = np.empty((room, rows.shape[1]), rows.dtype)
-    for i in range(len(rows)):
-        for j in range(rows.shape[1]):
-            pairs_found[i, j] = rows[i, j]
-    return pairs_found
 
 
 @kernel
@@ -311,8 +300,7 @@ def _overlaps(
     item_low: Floats, item_high: Floats, low: Floats, high: Floats,
 ) -> Integers:  # fmt: skip
     """Pairs of :func:`overlapping`."""
-    room, count = 1024, 0
-    pairs = np.empty((room, 2), np.int64)
+    pairs, count = np.empty((1024, 2), np.int64), 0
     for m in range(len(low)):
         k = 0
         while k < len(after):
@@ -322,9 +310,8 @@ def _overlaps(
             for place in range(items[k, 0], items[k, 1]):
                 i = order[place]
                 if _meet(item_low, item_high, i, low, high, m):
-                    if count == room:
-                        room *= 2
-                        pairs = wider(pairs, room)
+                    if count == len(pairs):
+                        pairs = np.concatenate((pairs, pairs))
                     pairs[count, 0], pairs[count, 1] = m, i
                     count += 1
             k += 1

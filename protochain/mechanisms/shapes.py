@@ -96,8 +96,7 @@ class Touches(NamedTuple):
     depth: Floats  # (k,): Overlaps, all positive.
 
 
-@dataclass(frozen=True, eq=False)
-class Balls:
+class Balls(NamedTuple):
     """Balls of a tree: bodies (n,), centres (n, 3) along the axes of the tree's frames, radii (n,)."""
 
     body: Integers
@@ -130,12 +129,7 @@ class OnPlane:
 
     def touches(self, frames: Frames) -> Touches:
         """Balls that reach below the plane."""
-        balls = self.balls
-        fields = _below(
-            frames.rotation, frames.origin, balls.body, balls.at, balls.radius, self.body, self.at,
-            self.normal,
-        )  # fmt: skip
-        return Touches(*fields)
+        return Touches(*_below(frames.rotation, frames.origin, *self.balls, self.body, self.at, self.normal))
 
     def refuse_depth(self, touches: Touches) -> None:
         """Nothing: a half-space is right at any depth."""

@@ -37,12 +37,6 @@ def put_six(first: Vector, second: Vector, columns: Floats, i: int, s: int) -> N
 
 
 @kernel
-def arm_between(origin: Floats, i: int, j: int) -> Vector:
-    """Vector from node i to node j."""
-    return origin[j, 0] - origin[i, 0], origin[j, 1] - origin[i, 1], origin[j, 2] - origin[i, 2]
-
-
-@kernel
 def shortening_of(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first: int) -> Vector:
     """Sum of the shortening of shape s with each of n amounts."""
     x, y, z = 0.0, 0.0, 0.0
@@ -67,7 +61,7 @@ def sum_wrenches(links: Integers, origin: Floats, wrench: Floats, b: int) -> tup
     frame, moment_sum, total = links[b, NODE], ZERO, ZERO
     for i in range(frame, links[b + 1, NODE]):
         moment, force = algebra.pair(wrench, i)
-        moment_sum = add(moment_sum, add(moment, cross(arm_between(origin, frame, i), force)))
+        moment_sum = add(moment_sum, add(moment, cross(algebra.lever(origin, i, frame), force)))
         total = add(total, force)
     return moment_sum, total
 
@@ -82,7 +76,7 @@ def base_twist(
     omega, u = ZERO, ZERO
     if c >= 0:
         omega, u = algebra.pair(motion, c)
-        u = add(u, cross(omega, arm_between(origin, c, frame)))
+        u = add(u, cross(omega, algebra.lever(origin, frame, c)))
     if n_v == 1:
         axis = scale(rates[k], algebra.hinge_axis(rotation, frame))
         omega, u = add(omega, scale(seats[b, TURN], axis)), add(u, scale(seats[b, SLIDE], axis))

@@ -6,7 +6,7 @@ a cyclic coordinate does not change at all.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -33,11 +33,13 @@ class Blocks:
 def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
     """Twists (nn, 6) of all nodes about their places, world axes, for velocities qd (n_v,). O(n)."""
     twists = np.empty((len(bent.origin), 6))
-    kernels.put_twists(
-        flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns,
-        floats(qd, (flexible.n_v,), "qd"), twists,
-    )  # fmt: skip
+    kernels.put_twists(*_nodes(flexible, bent), floats(qd, (flexible.n_v,), "qd"), twists)
     return twists
+
+
+def _nodes(flexible: Flexible, bent: Bent) -> tuple[Any, ...]:
+    """Arguments of the sweeps for bodies and their nodes."""
+    return flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns
 
 
 def jacobian(flexible: Flexible, bent: Bent) -> Floats:
@@ -83,11 +85,8 @@ def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
     """Solve M x = tau by one inward and one outward sweep. x is 0 at driven hinges."""
     # tau (n_v,) -> (n_v,).
     # As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
-    _, mass, inertia, *_ = flexible.arrays
     x = floats(tau, (flexible.n_v,), "tau").copy()
-    failed = kernels.solve_bent(
-        flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, x
-    )
+    failed = kernels.solve_bent(*_nodes(flexible, bent), *flexible.arrays[1:3], x)
     if failed >= 0:
         raise BodyError(
             failed,
@@ -104,10 +103,7 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     twists, changes = _twists(flexible, bent, q, qd)
     felt = _momenta_of_nodes(flexible, bent, twists)
     p, gradient = _pull_back(flexible, bent, felt) + flexible.rotors * qd, np.empty(flexible.n_v)
-    kernels.put_gradient(
-        flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
-        gradient,
-    )  # fmt: skip
+    kernels.put_gradient(*_nodes(flexible, bent), twists, changes, felt, gradient)
     return p, gradient
 
 
@@ -172,7 +168,7 @@ def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
 def _pull_back(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
     """J^T felt (nn, 6), which is overwritten by the loads that the nodes carry."""
     tau = np.empty(flexible.n_v)
-    kernels.put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
+    kernels.put_torques(*_nodes(flexible, bent), felt, tau)
     return tau
 
 
@@ -190,14 +186,12 @@ def _twists(flexible: Flexible, bent: Bent, q: Floats, qd: Floats) -> tuple[Floa
 def _torques(
     flexible: Flexible, bent: Bent, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None
 ) -> Floats:
-    _, mass, inertia, *_ = flexible.arrays
     twists, changes = _twists(flexible, bent, q, qd)
     loads, qd = np.empty_like(twists), floats(qd, (flexible.n_v,), "qd")
     qdd = floats(qdd, (flexible.n_v,), "qdd")
-    kernels.put_loads(
-        flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, twists,
-        changes, qd, hinge_accelerations(flexible.tree, qd, qdd), loads,
-    )  # fmt: skip
+    along = hinge_accelerations(flexible.tree, qd, qdd)
+    inertial = *_nodes(flexible, bent), *flexible.arrays[1:3]
+    kernels.put_loads(*inertial, twists, changes, qd, along, loads)
     if wrench is not None:
         loads -= floats(wrench, loads.shape, "wrench")
     return _pull_back(flexible, bent, loads) + flexible.rotors * qdd

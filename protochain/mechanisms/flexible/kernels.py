@@ -12,7 +12,7 @@ from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat,
 from protochain.mechanics.multibody.rotations import tangent, turn_by
 from protochain.mechanics.multibody.tree import ARMATURE, SLIDE, TURN, Q, V
 from protochain.mechanisms.flexible import algebra as nodes
-from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, arm_between, six, triple
+from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, six, triple
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of its diagonal is rounding error."""
@@ -65,7 +65,7 @@ def put_twists(
         frame, j = links[b, NODE], links[b, SHAPE]
         omega, u = nodes.base_twist(links, seats, rotation, origin, b, twists, qd)
         for i in range(frame, links[b + 1, NODE]):
-            spin, moving = omega, add(u, cross(omega, arm_between(origin, frame, i)))
+            spin, moving = omega, add(u, cross(omega, algebra.lever(origin, i, frame)))
             for s in range(links[b + 1, SHAPE] - j):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(qd[j + s], angular)), add(moving, scale(qd[j + s], linear))
@@ -101,8 +101,8 @@ def put_changes(
 
 @kernel
 def put_loads(
-    links: Integers, seats: Floats, mass: Floats, inertia: Floats, rotation: Floats, origin: Floats,
-    columns: Floats, twists: Floats, changes: Floats, qd: Floats, qdd: Floats, loads: Floats,
+    links: Integers, seats: Floats, rotation: Floats, origin: Floats, columns: Floats, mass: Floats,
+    inertia: Floats, twists: Floats, changes: Floats, qd: Floats, qdd: Floats, loads: Floats,
 ) -> None:  # fmt: skip
     """Write the moments and forces (nn, 6) that give the nodes their accelerations."""
     motion = np.empty((len(origin), 6))
@@ -112,7 +112,7 @@ def put_loads(
         alpha, a = nodes.base_twist(links, seats, rotation, origin, b, motion, qdd)
         if c >= 0:
             above, _ = algebra.pair(twists, c)
-            a = add(a, cross(above, cross(above, arm_between(origin, c, frame))))
+            a = add(a, cross(above, cross(above, algebra.lever(origin, frame, c))))
             if links[b + 1, V] - links[b, V] == 1:
                 # The axis turns with what carries it.
                 axis = scale(qd[links[b, V]], algebra.hinge_axis(rotation, frame))
@@ -120,7 +120,7 @@ def put_loads(
                 a = add(a, scale(2.0 * seats[b, SLIDE], cross(above, axis)))
         omega, _ = algebra.pair(twists, frame)
         for i in range(frame, links[b + 1, NODE]):
-            arm = arm_between(origin, frame, i)
+            arm = algebra.lever(origin, i, frame)
             quick, pulled = alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
@@ -156,7 +156,7 @@ def put_torques(
             turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], n_v, m)
             tau[k + m] = dot(turn, moment) + dot(slide, force)
         if c >= 0:
-            algebra.add_pair(add(moment, cross(arm_between(origin, c, frame), force)), force, felt, c)
+            algebra.add_pair(add(moment, cross(algebra.lever(origin, frame, c), force)), force, felt, c)
 
 
 @kernel
@@ -187,8 +187,8 @@ def put_gradient(
 
 @kernel
 def solve_bent(
-    links: Integers, seats: Floats, mass: Floats, inertia: Floats, rotation: Floats, origin: Floats,
-    columns: Floats, x: Floats,
+    links: Integers, seats: Floats, rotation: Floats, origin: Floats, columns: Floats, mass: Floats,
+    inertia: Floats, x: Floats,
 ) -> int:  # fmt: skip
     """Overwrite tau in x by M^-1 tau. Return the first body without a pivot, or -1."""
     # The rates of a body's amplitudes and its twist V have the matrix summed over its nodes of F^T I F, with
@@ -205,7 +205,7 @@ def solve_bent(
         system_matrix[:] = 0.0
         for i in range(frame, links[b + 1, NODE]):
             if weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0:
-                nodes.spread(columns, arm_between(origin, frame, i), i, n_shapes, f)
+                nodes.spread(columns, algebra.lever(origin, i, frame), i, n_shapes, f)
                 _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, system_matrix)
         for s in range(n_shapes):
             system_matrix[s, size] += x[j + s]
@@ -234,7 +234,7 @@ def solve_bent(
                 return b
         if c >= 0:
             weighs[c] = True
-            nodes.spread(columns, arm_between(origin, c, frame), 0, 0, f)
+            nodes.spread(columns, algebra.lever(origin, frame, c), 0, 0, f)
             _carry(c, p, f, g, carried, load)
     _outward(links, seats, rotation, origin, columns, rows, gains, roots, x)
     return -1
@@ -317,7 +317,7 @@ def _outward(
             y[s] /= rows[b, s, s]
             x[j + s] = y[s]
         for i in range(frame, links[b + 1, NODE]):
-            spin, moving = omega, add(u, cross(omega, arm_between(origin, frame, i)))
+            spin, moving = omega, add(u, cross(omega, algebra.lever(origin, i, frame)))
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(y[s], angular)), add(moving, scale(y[s], linear))
