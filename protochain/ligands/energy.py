@@ -1,13 +1,22 @@
-"""Parameters of a molecule as arrays, and its energy by term: slow and clear, all pairs, no cutoff."""
+"""Parameters of a molecule as arrays, its energy by term (slow and clear, all pairs), and its strain."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats, Integers, Value, cross, dihedral, dihedral_slopes
 from protochain.core.graph import neighbours
 from protochain.core.units import COULOMB
+
+_MOST = 20000
+"""Iterations and evaluations."""
+_TOLERANCE = 1e-3
+"""kJ/mol/nm of the largest gradient component. The energy is then within 1e-8 kJ/mol of the minimum."""
+_UNIT = 0.01
+"""nm. The first step of L-BFGS-B has a norm of one, and atoms that move by 1 nm are out of the molecule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,3 +119,46 @@ class Function:
         s6 = (self.sigma**2 / square) ** 3
         gradient += self.scatter @ ((self.well * (24.0 * s6 - 48.0 * s6 * s6) / square)[:, None] * along)
         return float(np.sum(4.0 * self.well * (s6 * s6 - s6)))
+
+
+def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
+    """Energy of a molecule at x (na, 3) nm above the nearest minimum, kJ/mol, or NaN if it is not finite.
+
+    Energies are bonds, angles, torsions and Lennard-Jones of the molecule alone. Its Coulomb energy is not
+    included: in vacuum it would fold charged groups onto one another, unlike in a pocket or in water. Models
+    seldom have reliable hydrogens. These are first put at the lowest energy with the other atoms in place.
+    The strain does not depend on their original places.
+    """
+    placed = nearest_minimum(parameters, x, np.asarray(elements) == 1)
+    free = nearest_minimum(parameters, placed, np.ones(len(x), dtype=bool))
+    function = Function(parameters)
+    with np.errstate(all="ignore"):
+        energy, minimum = (sum(function(positions)[0].values()) for positions in (placed, free))
+    return max(energy - minimum, 0.0) if np.isfinite(energy) and np.isfinite(minimum) else float("nan")
+
+
+def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]) -> Floats:
+    """Return the positions of the minimum to which L-BFGS goes, if some atoms (na,) bool may move."""
+    if not moving.any():
+        return x
+    function = Function(parameters)
+
+    from scipy.optimize import minimize
+
+    def place(scaled: Floats) -> Floats:
+        positions = x.copy()
+        positions[moving] = _UNIT * scaled.reshape(-1, 3)
+        return positions
+
+    def value(scaled: Floats) -> tuple[float, Floats]:
+        terms, gradient = function(place(scaled))
+        energy = sum(terms.values())
+        return (energy, _UNIT * gradient[moving].ravel()) if np.isfinite(energy) else (1e300, 0.0 * scaled)
+
+    # An end by the change of the energy would depend on round-off, so only the gradient ends it.
+    with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
+        result = minimize(
+            value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
+            options={"gtol": _UNIT * _TOLERANCE, "ftol": 0, "maxiter": _MOST, "maxfun": _MOST, "maxcor": 20},
+        )  # fmt: skip
+    return place(result.x)

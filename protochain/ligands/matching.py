@@ -173,7 +173,8 @@ def _match_heavy(
     # The matches with the fewest differences in hydrogens, and of these with nearly the smallest misfit.
     likest = np.arange(len(matches))
     if hydrogens is not None:
-        of_molecule = np.array([_hydrogens(molecule, i) for i in heavy.tolist()])
+        ends = molecule.bonds[(molecule.elements[molecule.bonds] == 1).any(1)]
+        of_molecule = np.bincount(ends.ravel(), minlength=molecule.n_atoms)[heavy]
         unlike = np.abs(np.asarray(hydrogens)[indices][matches] - of_molecule).sum(1)
         likest = np.flatnonzero(unlike == unlike.min())
     likest = likest[misfit[likest] <= misfit[likest].min() + _ALIKE]
@@ -201,11 +202,6 @@ def _match_heavy(
                 f"{off[[*ring]].mean():+.2f} angstrom, as if it had others; give the molecule that it has"
             )
     return np.asarray(places[best])
-
-
-def _hydrogens(molecule: Molecule, atom: int) -> int:
-    ends = molecule.bonds[(molecule.bonds == atom).any(1)]
-    return int((molecule.elements[ends] == 1).sum())
 
 
 def _skeleton(elements: Any, bonds: Any) -> Any:

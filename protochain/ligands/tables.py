@@ -5,7 +5,7 @@ for readers, because programs differ in the finer rules of these letters.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import gemmi
 import numpy as np
@@ -92,16 +92,14 @@ def stereo(
             unnamed = [i for i in around if i not in atoms]
             order = [unnamed[0] if i < 0 and len(unnamed) == 1 else i for i in atoms[1:]]
             if sorted(order) == sorted(around):
-                same = (kind == _CLOCKWISE) == _even([order.index(i) for i in around])
+                places = [order.index(i) for i in around]
+                is_even = sum(a > b for a, b in combinations(places, 2)) % 2 == 0
+                same = (kind == _CLOCKWISE) == is_even
                 parity[atoms[0]] = 1 if same else 2
         bonded = -1 not in atoms and all(j in near[i] for i, j in pairwise(atoms))
         if kind in (_CIS, _TRANS) and len(atoms) == 4 and bonded:
             double.append([*atoms, int(kind == _CIS)])
     return parity, double
-
-
-def _even(order: Sequence[int]) -> bool:
-    return sum(order[i] > order[j] for j in range(len(order)) for i in range(j)) % 2 == 0
 
 
 def as_remarks(tables: Mapping[str, Rows], complete: Collection[str]) -> list[str]:

@@ -17,12 +17,12 @@ from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.molecule.chirality import atom_names, changed_stereocentres, mirror_images
 from protochain.structure.molecule.model import Structure
-from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.fixed import count_fixed, fixed_faults
 from protochain.validation.ligands import describe_double_bonds, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
+from protochain.validation.strain import bond_lines, wrong_bonds
 
 _REMEDY = "remove such hydrogens from the file to place them again, or relax the structure"
 """Remedy for bonds of wrong lengths."""

@@ -5,10 +5,9 @@ from protochain.validation.findings import MEASURES
 from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES, Interface, score_interface
 from protochain.validation.ligands import LigandFound
 from protochain.validation.likeness import LIKENESS, likeness
-from protochain.validation.result import Validation
 from protochain.validation.rings import ThreadedRing, threaded_rings
 from protochain.validation.strain import Strain, strain
-from protochain.validation.validate_structure import measures, validate
+from protochain.validation.validate_structure import Validation, measures, validate
 from protochain.validation.violations import Violations, violations
 
 __all__ = [

@@ -15,7 +15,6 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.chirality import atom_names, wrong_centres
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind
-from protochain.validation.bond_lengths import bond_lines
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults, fixed_residues
@@ -31,7 +30,7 @@ from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
 from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
 from protochain.validation.stereocentres import expected_stereocentres, inverted_stereocentres
-from protochain.validation.strain import strain
+from protochain.validation.strain import bond_lines, strain
 from protochain.validation.violations import violations
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.chains.contacts import radii
@@ -14,8 +13,8 @@ from protochain.core.markup import abridge, plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
-from protochain.validation.bond_lengths import covalent_radii, metals, wrong_bonds
 from protochain.validation.layout import positions
+from protochain.validation.strain import covalent_radii, metals, wrong_bonds
 
 _CLASH = 0.15
 """nm of overlap of heavy atoms, as AlphaFold counts clashes between residues."""
@@ -87,17 +86,10 @@ def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     return FixedFaults(broken, _clashes(structure, x) if structure.obstacle.any() else none)
 
 
-def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
-    """(nr,) bool: residues that are nucleotides of DNA or RNA."""
-    is_kept = np.zeros(structure.n_residues, dtype=bool)
-    is_kept[structure.atom_residue[structure.kept]] = True
-    return np.asarray(is_kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
-
-
 def _torn_bonds(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: nearest atoms of pieces of fixed molecules, except nucleotides and metal complexes."""
     of, element = structure.atom_residue, structure.atom_element
-    skipped = _of_nucleotides(structure)
+    skipped = np.isin(structure.residue_name, [*NUCLEOTIDES])
     skipped[of[metals(structure)]] = True
     fixed = structure.obstacle & (element != "H") & ~skipped[of]
     bonds = structure.bonds[fixed[structure.bonds].all(axis=1)]

@@ -339,7 +339,9 @@ def _energy_scores(structure: Structure, energy: NativeEnergy, parts: Sides) -> 
 
 def _buried_areas(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
     """Areas that the sides lose, their fit, and the remaining and lost areas of atoms (na,)."""
-    residue_of, polar = structure.atom_residue, _polar(structure)
+    residue_of = structure.atom_residue
+    # All but carbon, sulphur, selenium, halogens and their hydrogens.
+    polar = ~np.isin(np.char.upper(structure.atom_element[_parents(structure)]), _APOLAR)
     masks = [part[residue_of] for part in parts]
     together, lost = _areas(structure, *masks)
     heavy = [mask & (structure.atom_element != "H") for mask in masks]
@@ -467,11 +469,6 @@ def _parents(structure: Structure) -> Integers:
     ends = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
     parents[ends[:, 0]] = ends[:, 1]
     return parents
-
-
-def _polar(structure: Structure) -> NDArray[np.bool_]:
-    """(na,) bool: all but carbon, sulphur, selenium, halogens and their hydrogens."""
-    return np.asarray(~np.isin(np.char.upper(structure.atom_element[_parents(structure)]), _APOLAR))
 
 
 def _unsatisfied_atoms(structure: Structure, together: Floats, lost: Floats, bonds: Integers) -> Integers:

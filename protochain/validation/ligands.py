@@ -13,9 +13,9 @@ from protochain.core.arrays import Floats, Integers, Value, distance
 from protochain.core.errors import ProtochainError
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.energy import strain
 from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import quietly, to_rdkit
-from protochain.ligands.strain import strain
 from protochain.structure.ligand_files import bonded_ligands
 from protochain.structure.molecule.model import BoundLigand, Structure, per_positions
 from protochain.structure.molecule.residues import Residue
@@ -115,12 +115,17 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
     """Examine each ligand of a structure at positions, without PoseBusters: x (na, 3) nm."""
     protein = np.flatnonzero(~structure.kept & (structure.atom_element != "H"))
     tree = cKDTree(ANGSTROM_PER_NM * x[protein])
+
+    def distances(bound: BoundLigand) -> Floats:
+        heavy = bound.atoms[bound.ligand.molecule.heavy]
+        return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
+
     return tuple(
         LigandFound(
             structure.residue(int(structure.atom_residue[bound.atoms[0]])),
             bound.ligand.molecule.source,
             strained,
-            int(np.isfinite(_distances(tree, bound, x)).sum()),
+            int(np.isfinite(distances(bound)).sum()),
             int((np.isin(clashing.pairs, bound.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
             tuple("=".join(bound.ligand.molecule.names[i] for i in atoms) for atoms in _inversions(bound, x)),
         )
@@ -136,7 +141,10 @@ def ligand_motion(start: Structure, x: Floats) -> Floats:
     for row, bound in zip(motion, start.ligands, strict=True):
         molecule, atoms = bound.ligand.molecule, bound.atoms
         if np.isfinite(x[atoms]).all():
-            ends = [_heavy(to_rdkit(molecule, positions[atoms])) for positions in (x, start.positions)]
+            ends = [
+                library("rdkit.Chem").RemoveHs(to_rdkit(molecule, positions[atoms]), sanitize=False)
+                for positions in (x, start.positions)
+            ]
             heavy = atoms[molecule.heavy]
             row[0] = library("rdkit.Chem.rdMolAlign").CalcRMS(*ends, maxMatches=_MOST_MATCHES)
             row[1] = ANGSTROM_PER_NM * distance(x[heavy], start.positions[heavy]).max()
@@ -159,21 +167,11 @@ def sdf_properties(
     return [{f"protochain_{key}": value for key, value in row.items()} for row in rows]
 
 
-def _heavy(molecule: Any) -> Any:
-    """RDKit's molecule without its hydrogens."""
-    return library("rdkit.Chem").RemoveHs(molecule, sanitize=False)
-
-
 def describe_motion(motion: Floats) -> str:
     """Describe the largest values of ``ligand_motion`` after other values, empty without ligands."""
     if not len(motion):
         return ""
     return ", ligand RMSD {:.2f} angstrom, farthest atom {:.2f}".format(*motion.max(axis=0))
-
-
-def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
-    heavy = bound.atoms[bound.ligand.molecule.heavy]
-    return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
 
 
 @per_positions

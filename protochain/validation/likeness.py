@@ -81,7 +81,8 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     atoms, model, twin = _correspondence(structure, reference, matched)
     place = ANGSTROM_PER_NM * reference.positions[atoms]
     residue = reference.atom_residue[atoms]
-    pairs = _near(place, residue)
+    pairs = cKDTree(place).query_pairs(RADIUS, output_type="ndarray")
+    pairs = np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
     model = _exchange_twins(structure, place, residue, pairs, model, twin)
     preserved = _agreement(structure, place, pairs, model)
     of_residue = means_by(residue[pairs].ravel(), np.repeat(preserved, 2), reference.n_residues)
@@ -130,12 +131,6 @@ def _correspondence(
     pairs = zip(kinds[atoms].tolist(), name.tolist(), strict=True)
     twin_names = [twins_of.get(kind, {}).get(atom, atom) for kind, atom in pairs]
     return atoms, find_atoms(name), find_atoms(np.array(twin_names, dtype=name.dtype))
-
-
-def _near(place: Floats, residue: Integers) -> Integers:
-    """Pairs (n, 2) of atoms of different residues within the radius."""
-    pairs = cKDTree(place).query_pairs(RADIUS, output_type="ndarray")
-    return np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
 
 
 def _agreement(structure: Structure, place: Floats, pairs: Integers, model: Integers) -> Floats:

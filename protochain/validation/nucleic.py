@@ -1,18 +1,22 @@
 """Nucleotides: puckers of sugars, and base pairs."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
+from protochain.core.graph import neighbours
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.validation.layout import dihedrals
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NUCLEOTIDE_COLUMNS = (
     "chain", "residue", "name", "pucker", "phase_degrees", "amplitude_degrees", "delta_degrees",
@@ -71,21 +75,20 @@ def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
     return Nucleotides(np.array(complete, dtype=np.int64), phase, amplitude, delta, outlier, pairs)
 
 
-def nucleotide_rows(structure: Structure, sugars: Nucleotides) -> list[dict[str, Any]]:
-    """Rows of a table of nucleotides: ``NUCLEOTIDE_COLUMNS``."""
-    partners: dict[int, list[int]] = {}
-    for i, j in () if sugars.pairs is None else sugars.pairs.tolist():
-        partners.setdefault(i, []).append(j)
-        partners.setdefault(j, []).append(i)
-    s = structure
+def nucleotide_table(structure: Structure, sugars: Nucleotides) -> "pd.DataFrame":
+    """Return a row for each nucleotide with a whole sugar: ``NUCLEOTIDE_COLUMNS``."""
+    import pandas as pd
+
+    s, r = structure, sugars.residue
     number = np.char.add(s.residue_number, s.residue_insertion_code)
-    values = (sugars.residue, sugars.phase, sugars.amplitude, sugars.delta, sugars.outlier)
-    rows = []
-    for pucker, r, *numbers in zip(sugars.pucker, *(column.tolist() for column in values), strict=True):
-        paired = ", ".join(f"{s.residue_chain[k]}:{number[k]}" for k in sorted(partners.get(r, ())))
-        row = (str(s.residue_chain[r]), str(number[r]), str(s.residue_name[r]), pucker, *numbers, paired)
-        rows.append(dict(zip(NUCLEOTIDE_COLUMNS, row, strict=True)))
-    return rows
+    pairs = np.empty((0, 2), dtype=np.int64) if sugars.pairs is None else sugars.pairs
+    partners = neighbours(pairs, s.n_residues)
+    paired = [", ".join(f"{s.residue_chain[k]}:{number[k]}" for k in sorted(partners[i])) for i in r.tolist()]
+    columns = (
+        s.residue_chain[r], number[r], s.residue_name[r], sugars.pucker, sugars.phase, sugars.amplitude,
+        sugars.delta, sugars.outlier, paired,
+    )  # fmt: skip
+    return pd.DataFrame(dict(zip(NUCLEOTIDE_COLUMNS, columns, strict=True)))
 
 
 def _atoms(structure: Structure) -> dict[int, dict[str, int]]:

@@ -1,18 +1,143 @@
-"""Measures of a structure by itself, and its validation."""
+"""Validation of a structure: numbers, a row for each residue, and faults in words."""
 
-from typing import Any
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats, floats
+from protochain.core.arrays import Floats, Value, floats
 from protochain.core.checks import flag
+from protochain.core.markup import facts, plural
 from protochain.core.timings import part
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import structure_to_measure
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind
 from protochain.validation.findings import MEASURES, Findings
-from protochain.validation.ligands import with_posebusters
-from protochain.validation.likeness import likeness
-from protochain.validation.result import Validation
+from protochain.validation.ligands import LIGAND_COLUMNS, LigandFound, with_posebusters
+from protochain.validation.likeness import LIKENESS, likeness
+from protochain.validation.nucleic import nucleotide_table, nucleotides
+from protochain.validation.violations import Violations
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Validation(Value):
+    """Faults of a structure, and its likeness to a reference.
+
+    Parameters
+    ----------
+    structure : Structure
+        As prepared. Its heavy atoms are at their places in the file.
+    measures : mapping of str to int or float
+        The keys of ``MEASURES``, and with a reference of ``LIKENESS``. None if a quantity cannot be
+        measured.
+    residues : pandas.DataFrame
+        A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
+        ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
+        ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
+        ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
+        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``inverted_stereocentres``, ``bond_outliers``,
+        ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
+        reference ``lddt``.
+    violations : Violations
+        As AlphaFold counts them, and covalent bonds of a wrong length.
+    findings : tuple of (int, str)
+        Index of a residue, and its fault.
+    chain_mapping : str, optional
+        Chains of the reference and their matches, as ``A:B,B:A``. None without a reference.
+    ligands : tuple of LigandFound
+        Findings of each ligand of known chemistry.
+    posebusters_missing : str
+        Reason why requested PoseBusters' tests were not run, empty if they were.
+
+    Examples
+    --------
+    >>> pc.validate("structures/1l2y.pdb").measures["ramachandran_outliers"]
+    0
+    """
+
+    structure: Structure
+    measures: Mapping[str, Any]
+    residues: "pd.DataFrame"
+    violations: Violations
+    findings: tuple[tuple[int, str], ...]
+    chain_mapping: str | None = None
+    ligands: tuple[LigandFound, ...] = ()
+    posebusters_missing: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
+
+    def listing(self) -> list[str]:
+        """List the residues with which something is wrong, in words, in the order of the file."""
+        faults: dict[int, list[str]] = defaultdict(list)
+        for residue, fault in self.findings:
+            faults[residue].append(fault)
+        return [f"{self.structure.describe_residue(r)}: {', '.join(faults[r])}" for r in sorted(faults)]
+
+    @property
+    def ligand_table(self) -> "pd.DataFrame":
+        """A row for each ligand.
+
+        ``chain``, ``residue``, ``name``, ``source``, ``strain_kj_mol``, ``contacts``, ``clashes``,
+        ``inverted``, ``posebusters_passed`` and ``posebusters_failed``, names of tests.
+        """
+        import pandas as pd
+
+        return pd.DataFrame([ligand.record() for ligand in self.ligands], columns=LIGAND_COLUMNS)
+
+    @property
+    def nucleotide_table(self) -> "pd.DataFrame":
+        """A row for each nucleotide with a whole sugar.
+
+        ``chain``, ``residue``, ``name``, ``pucker``, ``phase_degrees`` and ``amplitude_degrees`` of its
+        pseudorotation, ``delta_degrees``, ``pucker_outlier`` and ``paired_with``, the residues of its pairs.
+        """
+        return nucleotide_table(self.structure, nucleotides(self.structure, self.structure.positions))
+
+    @property
+    def added(self) -> str:
+        """Additions of preparation to the file, in words, empty without any."""
+        heavy = self.residues["atoms_added"]
+        additions = [str(repair) for repair in self.structure.repairs if repair.kind is Kind.HYDROGENS_ADDED]
+        if heavy.any():
+            atoms = plural(int(heavy.sum()), "heavy atom")
+            residues = plural(int((heavy > 0).sum()), "residue")
+            additions.insert(0, f"{atoms} added that the file lacks, in {residues}")
+        return "; ".join(additions)
+
+    def record(self) -> dict[str, Any]:
+        """Flat row: name, model and size, additions, and the measures."""
+        s = self.structure
+        return {
+            "structure": s.name, "model": s.model_number, "n_chains": s.n_chains,
+            "n_residues": len(self.residues), "n_atoms": s.n_atoms,
+            "heavy_atoms_added": int(self.residues["atoms_added"].sum()), **self.measures,
+            **({} if self.chain_mapping is None else {"chain_mapping": self.chain_mapping}),
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        faults = [
+            f"{self.measures[key]} {measure.what}"
+            for key, measure in MEASURES.items()
+            if measure.whole and key not in ("cis_prolines", "base_pairs") and self.measures[key]
+        ]
+        return f"<Validation of {self.structure.name}: {'; '.join(faults) or 'nothing wrong'}>"
+
+    def _repr_html_(self) -> str:
+        words = {key: measure.what for key, measure in MEASURES.items()}
+        words |= {key: description for key, (_, description) in LIKENESS.items()}
+        rows = {
+            words[key]: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
+            for key, value in self.measures.items()
+        }
+        return facts(f"Validation of {self.structure.name}", rows)
 
 
 @part("measuring")

@@ -2,24 +2,26 @@
 
 Jumper et al., Nature 596:583 (2021), supplement 1.9.11, equations 44 to 46: ``find_structural_violations``
 with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts. AlphaFold
-skips bonds to hydrogen. Here all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
+skips bonds to hydrogen. Here all covalent bonds are compared with :mod:`protochain.validation.strain`.
 """
 
+import csv
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.arrays import Floats, Integers, Value, freeze, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import plural
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
-from protochain.validation.bond_lengths import bond_lines, wrong_bonds
-from protochain.validation.geometry import TYPES, distances, places, slots
+from protochain.structure.molecule.residues import STANDARD, STATE_PARENT
 from protochain.validation.layout import positions
+from protochain.validation.strain import bond_lines, wrong_bonds
 
 _SIGMAS = 12.0
 _OVERLAP = 1.5
@@ -37,6 +39,12 @@ _SOFT = 1e-6
 """Added to squares under a root, as in AlphaFold's counts."""
 _CA, _C, _N = 1, 2, 0
 """Places of backbone atoms in a residue."""
+_WIDTH = 14
+"""Heavy atoms of the largest amino acid, without the second oxygen of a terminus."""
+_TYPES = tuple(STANDARD)
+"""Amino acids, in the order of the tables."""
+_TABLE = Path(__file__).parent / "data" / "geometry.csv"
+"""Bond lengths and angles of the amino acids."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +243,7 @@ def _within(structure: Structure, x: Floats) -> Integers:
 @per_structure
 def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
     """Atoms (n, 2) of one residue, and the least and greatest distances allowed (n,), angstrom."""
-    atom_at, kind = places(structure)
+    atom_at, kind = _places(structure)
     lower, upper = _bounds()
     i, j = np.triu_indices(atom_at.shape[1], 1)
     first, second = atom_at[:, i], atom_at[:, j]
@@ -248,10 +256,10 @@ def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
 @cache
 def _bounds() -> tuple[Floats, Floats]:
     """Least and greatest distances (20, 14, 14) allowed within a residue, angstrom."""
-    mean, sigma = distances()
+    mean, sigma = _distances()
     radius = np.zeros(mean.shape[:2])
-    for (residue, name), place in slots().items():
-        radius[TYPES.index(residue), place] = _RADIUS[name[0]]
+    for (residue, name), place in _slots().items():
+        radius[_TYPES.index(residue), place] = _RADIUS[name[0]]
     finite = np.isfinite(mean)
     contact = radius[:, :, None] + radius[:, None] - _OVERLAP
     return np.where(finite, mean - _SIGMAS * sigma, contact), np.where(finite, mean + _SIGMAS * sigma, np.inf)
@@ -260,7 +268,7 @@ def _bounds() -> tuple[Floats, Floats]:
 @per_structure
 def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
-    atom_at, kind = places(structure)
+    atom_at, kind = _places(structure)
     carbon, nitrogen = atom_at[:, _C], atom_at[:, _N]
     residue, ends = structure.atom_residue, both_ways(structure.bonds)
     is_c, is_n = np.zeros(structure.n_atoms, dtype=bool), np.zeros(structure.n_atoms, dtype=bool)
@@ -273,7 +281,7 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     joints = np.column_stack([atom_at[pairs[:, 0]][:, [_CA, _C]], atom_at[pairs[:, 1]][:, [_N, _CA]]])
     complete = (joints >= 0).all(axis=1)
-    proline = kind[pairs[:, 1]] == TYPES.index("PRO")
+    proline = kind[pairs[:, 1]] == _TYPES.index("PRO")
     return read_only(joints[complete], np.int64), read_only(proline[complete], np.bool_)
 
 
@@ -288,9 +296,90 @@ def _as_number(text: str) -> float:
 @per_structure
 def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     """Atoms (n,) that may clash, radii (na,), and pairs that are bonded or joined C-N, each as one number."""
-    atom_at, _ = places(structure)
+    atom_at, _ = _places(structure)
     atoms = np.sort(atom_at[atom_at >= 0])
     radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
     joined = np.vstack([_joints(structure)[0][:, 1:3], structure.bonds])
     bonded = np.sort(joined, axis=1) @ np.array([structure.n_atoms, 1])
     return read_only(atoms, np.int64), read_only(radius), read_only(bonded, np.int64)
+
+
+@dataclass(frozen=True)
+class _Norm:
+    """Usual value of a bond length or angle within a residue."""
+
+    residue: str
+    atoms: tuple[str, ...]  # Two of a bond, three of an angle.
+    mean: float
+    sigma: float
+
+
+@cache
+def _norms() -> tuple[_Norm, ...]:
+    """Rows of the table of bond lengths and angles within residues."""
+    with _TABLE.open(newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    return tuple(_Norm(row[0], tuple(row[1].split("-")), float(row[2]), float(row[3])) for row in rows)
+
+
+@cache
+def _slots() -> dict[tuple[str, str], int]:
+    """Place (0 to 13) of each heavy atom in its residue, by names of residue and atom: N, CA, C, O first."""
+    place_of: dict[tuple[str, str], int] = {}
+    for residue in _TYPES:
+        first = dict.fromkeys(("N", "CA", "C", "O"))
+        names = first | dict.fromkeys(
+            name for row in _norms() if row.residue == residue for name in row.atoms
+        )
+        place_of |= {(residue, name): place for place, name in enumerate(names)}
+    return place_of
+
+
+@cache
+def _distances() -> tuple[Floats, Floats]:
+    """Usual distances (20, 14, 14), angstrom, one or two bonds apart, and deviations, or NaN."""
+    shape = (len(_TYPES), _WIDTH, _WIDTH)
+    mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    for n_atoms in (2, 3):
+        for row in _norms():
+            if len(row.atoms) != n_atoms:
+                continue
+            kind, places = _TYPES.index(row.residue), [_slots()[row.residue, name] for name in row.atoms]
+            value = (row.mean, row.sigma)
+            if n_atoms == 3:
+                i, j, k = places
+                arms = ((mean[kind, i, j], sigma[kind, i, j]), (mean[kind, j, k], sigma[kind, j, k]))
+                value = _opposite(*arms, (np.radians(row.mean), np.radians(row.sigma)))
+            first, last = places[0], places[-1]
+            mean[kind, first, last] = mean[kind, last, first] = value[0]
+            sigma[kind, first, last] = sigma[kind, last, first] = value[1]
+    return freeze(mean), freeze(sigma)
+
+
+def _opposite(
+    a: tuple[float, float], b: tuple[float, float], angle: tuple[float, float]
+) -> tuple[float, float]:
+    """Side of a triangle opposite to the angle between sides a and b, each with its standard deviation."""
+    cosine, sine = np.cos(angle[0]), np.sin(angle[0])
+    side = np.sqrt(a[0] ** 2 + b[0] ** 2 - 2 * a[0] * b[0] * cosine)
+    parts = ((a[0] - b[0] * cosine) * a[1], (b[0] - a[0] * cosine) * b[1], a[0] * b[0] * sine * angle[1])
+    return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
+
+
+@per_structure
+def _places(structure: Structure) -> tuple[Integers, Integers]:
+    """Atom in each place of each residue (nr, 14), or -1, and its type (nr,), -1 of caps and molecules."""
+    names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
+    kind = np.array([_TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)
+    kind[structure.atom_residue[structure.kept]] = -1
+    atom_at = np.full((structure.n_residues, _WIDTH), -1, dtype=np.int64)
+    residue = structure.atom_residue
+    heavy = np.flatnonzero((structure.atom_element != "H") & (kind[residue] >= 0))
+    table = _slots()
+    for atom, r, name in zip(
+        heavy.tolist(), residue[heavy].tolist(), structure.atom_name[heavy].tolist(), strict=True
+    ):
+        place = table.get((names[r], name))
+        if place is not None:
+            atom_at[r, place] = atom
+    return read_only(atom_at, np.int64), read_only(kind, np.int64)
