@@ -19,8 +19,7 @@ from protochain.results.page import write_page as fill
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, library, scene
 from protochain.structure import Structure
-from protochain.structure.molecule.repairs import Repair
-from protochain.structure.preparation.losses import loss_lines
+from protochain.structure.molecule.repairs import Repair, loss_lines
 
 SHOWN_RELAXED = tuple(
     Column(key, itemgetter(key), heading)

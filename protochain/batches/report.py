@@ -14,7 +14,7 @@ from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.figures import panels, plain
 from protochain.results.page import table_data, write_page
-from protochain.structure.preparation.losses import loss_lines
+from protochain.structure.molecule.repairs import loss_lines
 
 _SHOWN = {
     "structure", "method", "status", "ca_rmsd_angstrom", "energy_end_reference_kj_mol", "violations_end",

@@ -35,7 +35,7 @@ def info(
     import_module("protochain.chains.articulate")
     from protochain.chains.contacts import overlaps
     from protochain.energies.factory import checked_files
-    from protochain.structure.preparation.losses import lost_atoms
+    from protochain.structure.molecule.repairs import lost_atoms
     from protochain.validation.violations import violations
 
     checked_files(force_field_parts(setup.forcefield), setup.trust_forcefield)

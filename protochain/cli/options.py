@@ -301,7 +301,7 @@ def print_violations(record: "Mapping[str, Any]") -> None:
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print the losses of the structures of records, or of rows of a table."""
-    from protochain.structure.preparation.losses import loss_lines
+    from protochain.structure.molecule.repairs import loss_lines
 
     tell(Kind.RESULT, *loss_lines(rows, as_option))
 

@@ -37,7 +37,7 @@ from protochain.results.provenance import of_run
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import View, scene
 from protochain.structure import Structure, ca_rmsd, save
-from protochain.structure.preparation.losses import loss_lines
+from protochain.structure.molecule.repairs import loss_lines
 from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
 from protochain.validation.ramachandran import ramachandran

@@ -16,7 +16,7 @@ from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
-from protochain.structure.preparation.losses import loss_lines
+from protochain.structure.molecule.repairs import loss_lines
 from protochain.validation.bonding import hydrogen_bonds
 from protochain.validation.findings import Findings
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.structure.preparation.losses import far_molecules, lost_atoms, n_lost
+from protochain.structure.molecule.repairs import far_molecules, lost_atoms, n_lost
 
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_rad2": "kJ/mol/rad^2",

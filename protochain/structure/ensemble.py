@@ -103,7 +103,7 @@ class Ensemble(Value):
         x[loose[s.atom_element[loose] == "H"]] = np.nan
         if not np.isnan(x).any():
             return x
-        if (self._missing & (s.atom_element != "H")).any():
+        if ((self.place < 0) & (s.atom_element != "H")).any():
             x = self._rebuild(x)
         charge = s.origin.charge if s.origin else np.zeros(s.n_atoms)
         return place_hydrogens(x, s.atom_element.tolist(), charge, s.bonds)
@@ -114,15 +114,10 @@ class Ensemble(Value):
         return np.flatnonzero(self.place >= 0)
 
     @cached_property
-    def _missing(self) -> Any:
-        """(na,) bool: atoms that frames lack."""
-        return self.place < 0
-
-    @cached_property
     def _bonds(self) -> Integers:
         """Bonds of atoms that frames have."""
         bonds = self.structure.bonds
-        return bonds[~self._missing[bonds].any(axis=1)]
+        return bonds[(self.place[bonds] >= 0).all(axis=1)]
 
     @cached_property
     def _outward(self) -> tuple[Integers, Integers, Integers]:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import gemmi
 import numpy as np
+from openmm import app
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
@@ -17,7 +18,8 @@ from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import STANDARD_INPUT, parse
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.preparation.trace import alpha_trace
+from protochain.structure.molecule.templates import archive_parent, standard_name
+from protochain.structure.preparation.model_choice import group_alternates, pick_altloc
 
 _RELATED = 0.3
 """Least identity of related sequences, over the positions of an alignment with inner gaps. Sander, Schneider,
@@ -166,6 +168,28 @@ def models_of(
             yield number, alpha_trace(parsed, source, number)
         except StructureError as error:
             yield number, error
+
+
+def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
+    """Return the C-alpha atoms of the amino acids of a model as a structure."""
+    topology, x = app.Topology(), list[list[float]]()
+    carbon = app.Element.getBySymbol("C")
+    for chain in next(m for m in parsed if m.num == model):
+        added_chain = topology.addChain(chain.name.strip())
+        for group in group_alternates(chain):
+            residue = pick_altloc(group, "").residue
+            code = residue.name.strip().upper()
+            standard = standard_name(code)[0]
+            name = standard if standard in STANDARD else archive_parent(code)
+            atom = residue.find_atom("CA", "*")
+            if name in STANDARD and atom:
+                number, insertion_code = str(residue.seqid.num), residue.seqid.icode.strip()
+                place = topology.addResidue(name, added_chain, number, insertion_code)
+                topology.addAtom("CA", carbon, place)
+                x.append([coordinate / ANGSTROM_PER_NM for coordinate in atom.pos.tolist()])
+    if not x:
+        raise StructureError(f"{source}: no C-alpha atom found; give a file with amino acids")
+    return Structure(source, topology, np.array(x))
 
 
 def _numbered_pairs(reference: Structure, model: Structure) -> list[tuple[int, int]]:

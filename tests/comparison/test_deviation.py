@@ -12,8 +12,7 @@ from fixtures.tolerances import RMSD_ANGSTROM
 import protochain as pc
 from protochain.comparison.deviation import deviation, rmsd_table
 from protochain.structure.formats.files import parse
-from protochain.structure.matching import match
-from protochain.structure.preparation.trace import alpha_trace
+from protochain.structure.matching import alpha_trace, match
 from protochain.structure.superpose import rmsd
 
 PAIRS = [

@@ -118,7 +118,8 @@ def in_columns(name="columns.npz"):
             "a.pdb: 103 atoms do not fit a PDB file; write .cif instead",
         ),
         (
-            {"structure.preparation.pka._PER_CHAIN": 0}, lambda: pc.load(STRUCTURES / "ala10.pdb", ph="auto"),
+            {"structure.preparation.protonate._PER_CHAIN": 0},
+            lambda: pc.load(STRUCTURES / "ala10.pdb", ph="auto"),
             "ph auto: 10 residues are too many for PROPKA",
         ),
         (

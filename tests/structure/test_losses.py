@@ -13,8 +13,7 @@ from protochain.batches.table import Tables, read_table
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
-from protochain.structure.molecule.repairs import Loss, Reason
-from protochain.structure.preparation.losses import loss_lines
+from protochain.structure.molecule.repairs import Loss, Reason, loss_lines
 from protochain.structure.write import as_text
 
 CHANGES = {

@@ -174,7 +174,9 @@ def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
                 if len({atom.name for atom in residue}) == len(residue):
                     continue
                 copies = _copies(residue)
-                nearest = _nearest(copies)
+                # The smallest distance between an atom and its first namesake.
+                distances = (a.pos.dist(copies[0][n].pos) for copy in copies[1:] for n, a in copy.items())
+                nearest = min(distances, default=0.0)
                 is_amino = _is_amino(residue)
                 if nearest > _NOT_BONDED and all(copy.keys() == copies[0].keys() for copy in copies):
                     if is_amino:
@@ -203,11 +205,6 @@ def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
             copies[n_seen[name]][name] = atom
             n_seen[name] += 1
     return copies
-
-
-def _nearest(copies: list[dict[str, gemmi.Atom]]) -> float:
-    """Return the smallest distance between an atom and its first namesake."""
-    return min((a.pos.dist(copies[0][n].pos) for copy in copies[1:] for n, a in copy.items()), default=0.0)
 
 
 def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> None:

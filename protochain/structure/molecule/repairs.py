@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, StrEnum
 from string import Formatter
+from textwrap import shorten
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -15,7 +16,9 @@ from protochain.core.markup import abridge, plural
 from protochain.structure.molecule.residues import Atom
 
 _SHOWN = 8
-"""Number of places listed in a line about many changes."""
+"""Number of places, or structures, listed in a line about many changes."""
+_LOSS_WIDTH = 200
+"""Characters of the report of the losses of one structure."""
 KEEP_ALL = Argument("keep", "all")
 """Argument that includes removed molecules."""
 
@@ -176,17 +179,10 @@ class Kind(Enum):
         "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
     )
     STAYS_UNKNOWN = Words("{residue} stays in place: {why}")
-    BOUND = Words(
-        "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
-        "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
-    )
-    COMPLEX = Words(
-        "{residue}: springs at the distances of the file in the place of the bonds of {atoms}",
-        "springs at the distances of the file in the place of the bonds of {atoms}",
-    )
+    BOUND = Words("{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}")
+    COMPLEX = Words("{residue}: springs at the distances of the file in the place of the bonds of {atoms}")
     MODIFIED = Words(
-        "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
-        "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
+        "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}"
     )
     CHARGES_OF_MMFF94 = Words(
         "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
@@ -480,3 +476,44 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
 
 
 _HISTIDINES = ("HID", "HIE", "HIP")
+
+
+def lost_atoms(losses: Iterable[Loss]) -> list[str]:
+    """Return the residues that lost atoms with these atoms, as in a record."""
+    return [str(loss) for loss in losses if loss.why is not Reason.FAR]
+
+
+def n_lost(losses: Iterable[Loss]) -> int:
+    """Return the number of lost atoms."""
+    return sum(len(loss.atoms) for loss in losses if loss.why is not Reason.FAR)
+
+
+def far_molecules(losses: Iterable[Loss]) -> list[str]:
+    """Return the molecules removed because they are far from the protein, as in a record."""
+    return [str(loss) for loss in losses if loss.why is Reason.FAR]
+
+
+def loss_lines(rows: Iterable[Mapping[Any, Any]], render: Render = str) -> list[str]:
+    """Report the losses of the structures of a run."""
+    row_of = {str(row.get("structure")): row for row in rows}
+    lines = []
+    for key, heading in _LOSS_COLUMNS.items():
+        remedy = f"; {render(KEEP_ALL)} keeps them" if key == "far_molecules" else ""
+        cells = {name: row.get(key) for name, row in row_of.items()}
+        texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
+        filled = {name: text for name, text in texts.items() if isinstance(text, str) and text}
+        lost = {name: shorten(text, _LOSS_WIDTH, placeholder=" ...") for name, text in filled.items()}
+        if len(row_of) == 1 and lost:
+            lines.append(f"{heading}: {''.join(lost.values())}{remedy}")
+        elif lost:
+            stated = ", ".join(f"{name} ({text})" for name, text in [*lost.items()][:_SHOWN])
+            suffix = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+            lines.append(f"{len(lost)} of {len(row_of)} structures {heading}: {stated}{suffix}{remedy}")
+    return lines
+
+
+_LOSS_COLUMNS = {
+    "lost_atoms": "lost atoms",
+    "far_molecules": f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
+}
+"""Columns and their texts."""

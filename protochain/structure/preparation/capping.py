@@ -204,14 +204,12 @@ class FragmentBuilder:
         leavers = [x for atoms, _ in left.values() for x in atoms]
         adds = not carbons and not leavers and not self.flagged & {*graph.light(a), *graph.light(b)}
         for end in (a, b):
-            single = self._single(end) + (graph.acceptors(end) if adds else [])
+            # Neighbours at the distance of a single bond.
+            single = [x for x in graph.heavy(end) if self._excess(end, x) > -_DOUBLE_BOND]
+            single += graph.acceptors(end) if adds else []
             leavers += graph.free_valences(end, 1 + is_double, free[end], single, self.hydrogens)
         graph.bonds[frozenset((a, b))] = 1 + is_double
         return tuple(leavers)
-
-    def _single(self, a: str) -> list[str]:
-        """Return neighbours of an atom at the distance of a single bond."""
-        return [x for x in self.graph.heavy(a) if self._excess(a, x) > -_DOUBLE_BOND]
 
     def _excess(self, a: str, b: str) -> float:
         """Return the distance beyond a single bond, angstrom, or NaN if an atom is absent from the file."""

@@ -111,7 +111,13 @@ def choose_flips(templated: Iterable[tuple[Member, Template | None]]) -> tuple[d
         contacts = contacts.reshape(2, -1).max(axis=1).repeat(len(choices) // 2)
         energies.append(np.array([state.energy(polar) for state in choices]) - _CONTACT * contacts)
     near = sorted(KDTree(pivots).query_pairs(_PAIR))
-    tables = {(i, j): np.array([[_pair_energy(a, b) for b in states[j]] for a in states[i]]) for i, j in near}
+    # The energy of a pair is the mean of both, each near the other.
+    tables = {
+        (i, j): np.array(
+            [[0.5 * (a.energy(b.polar) + b.energy(a.polar)) for b in states[j]] for a in states[i]]
+        )
+        for i, j in near
+    }
     pairs = {ends: table for ends, table in tables.items() if table.any()}
     chosen = _choose_states(energies, pairs, [np.array([s.turned for s in choices]) for choices in states])
     tautomers, turned = dict[int, str](), set[int]()
@@ -123,11 +129,6 @@ def choose_flips(templated: Iterable[tuple[Member, Template | None]]) -> tuple[d
             for a in member.atoms:
                 a.pos = gemmi.Position(*choices[k].at[a.name])
     return tautomers, turned
-
-
-def _pair_energy(first: State, second: State) -> float:
-    """Return the mean of the energies of two sites, each near the other."""
-    return 0.5 * (first.energy(second.polar) + second.energy(first.polar))
 
 
 def _choose_states(
@@ -184,18 +185,15 @@ def _states(member: Member) -> list[State]:
     for turned, x in ((False, at), (True, flipped)):
         if member.name == "HIS":
             for tautomer, donor in TAUTOMERS.items():
-                polar = [Polar(x[n], n == donor, n != donor, _neighbours(x, n)) for n in TAUTOMERS.values()]
-                states.append(State(tautomer, turned, x, tuple(polar)))
+                bonded = {n: np.array([x[end] for end in _RING[n]]) for n in TAUTOMERS.values()}
+                polar = tuple(Polar(x[n], n == donor, n != donor, near) for n, near in bonded.items())
+                states.append(State(tautomer, turned, x, polar))
         else:
             oxygen, nitrogen = _TURNING[member.name]
             near = np.array([x[pivot], x[start]])
             ends = Polar(x[oxygen], False, True, near), Polar(x[nitrogen], True, False, near)
             states.append(State("", turned, x, ends))
     return states
-
-
-def _neighbours(at: Mapping[str, Floats], name: str) -> Floats:
-    return np.array([at[neighbour] for neighbour in _RING[name]])
 
 
 def _fixed_polar_atoms(
@@ -238,17 +236,12 @@ def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> floa
             elif atom.is_donor == end.is_donor:
                 energy += share
             elif end.is_donor:
-                directed = _amine_cosine(end, vector / length)
+                directed = max(float(way @ (vector / length)) for way in _amine_directions(end))
                 energy -= share * directed * (directed > _MIN_DONOR_COSINE)
             elif out[end] @ vector > _MIN_ACCEPTOR_COSINE * length * np.linalg.norm(out[end]):
                 directed = _donor_cosine(atom, -vector / length)
                 energy -= share * directed * (directed > _MIN_DONOR_COSINE)
     return energy
-
-
-def _amine_cosine(nitrogen: Polar, way: Floats) -> float:
-    """Return the cosine between a direction and the nearer N-H bond of an amide."""
-    return max(float(direction @ way) for direction in _amine_directions(nitrogen))
 
 
 def _amine_directions(nitrogen: Polar) -> list[Floats]:

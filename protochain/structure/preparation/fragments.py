@@ -32,7 +32,7 @@ from protochain.structure.preparation.ligand_chemistry import (
     template_of,
 )
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
-from protochain.structure.preparation.parents import convert_to_parent
+from protochain.structure.preparation.read import convert_to_parent
 from protochain.structure.preparation.sites import stated_hetero_links
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Fragment, Part, losses
 

@@ -139,7 +139,8 @@ class _Molecules:
             tree = KDTree(self.positions(np.concatenate([pieces[piece] for piece in placed])))
             images = {piece: self._image(tree, pieces[piece]) for piece in remaining}
             # Chains in contact come first, then chains with an image in contact, then the unmoved others.
-            chosen = min(remaining, key=lambda piece: _rank(images[piece]))
+            ranks = {piece: 2 if shifts is None else int(shifts.any()) for piece, shifts in images.items()}
+            chosen = min(remaining, key=ranks.__getitem__)
             moved += self._move_to_image(chosen, images[chosen])
             placed.append(chosen)
             remaining.remove(chosen)
@@ -184,10 +185,6 @@ def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> 
     shifts = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
     nearest = [float(np.min(tree.query(x + shift @ lattice)[0])) for shift in shifts]
     return shifts[int(np.argmin(nearest))] if min(nearest) < contact else None
-
-
-def _rank(shifts: Floats | None) -> int:
-    return 2 if shifts is None else int(shifts.any())
 
 
 def make_whole(draft: Draft) -> Changes:

@@ -15,7 +15,7 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import acidity_or_auto, check_arguments, file_name, force_field_parts, words
+from protochain.core.checks import acidity_or_auto, check_arguments, file_name, force_field_parts
 from protochain.core.checks import bonds as bonds_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
@@ -171,26 +171,23 @@ def load(
 
 def reading_of(
     *,
-    keep: str | Sequence[str] = defaults.KEEP,
+    keep: Any = defaults.KEEP,
     disulfide: str | Sequence[str | tuple[str, str]] | None = None,
     ph: float | str = defaults.PH,
     forcefield: str | Path | None = None,
-    chains: str | Sequence[str] = (),
     ligands: Any = (),
     ligand_charges: str | Path = defaults.LIGAND_CHARGES,
     **options: Any,
 ) -> Reading:
     """Check the options of :func:`load`."""
     ph = acidity_or_auto(ph, "ph")
+    acidity = defaults.PH if isinstance(ph, str) else ph
     return Reading(
-        keep=words(keep),
+        keep=keep,
         disulfide=bonds_of(disulfide, "disulfide"),
         ph=ph,
         forcefield=user_files(forcefield),
-        chains=words(chains, "chains"),
-        chemistry=Chemistry.parse(
-            ligands, ligand_charges, defaults.PH if isinstance(ph, str) else ph, parts_of(forcefield)
-        ),
+        chemistry=Chemistry.parse(ligands, ligand_charges, acidity, parts_of(forcefield)),
         **options,
     )
 
@@ -250,9 +247,8 @@ def prepare(draft: Draft) -> Structure:
     # Hydrogens without a position are placed when all bonds are known.
     atoms = [atom for member in draft.members for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
-    at = _indices(draft.states)
-    other_links = [*draft.links, *draft.other_links, *draft.metal_links]
-    bonds = _bonds(draft, draft.states, draft.bridges, other_links, at)
+    at = _indices(draft)
+    bonds = _bonds(draft, at)
     charge = np.array([t.charge.get(atom.name, 0.0) for m, t in draft.states for atom in m.atoms])
     x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
     place = np.where(np.isnan(x[:, 0]), -1, places_in_file(atoms))
@@ -271,11 +267,12 @@ def prepare(draft: Draft) -> Structure:
     # Bonds of hetero molecules, and springs for the bonds without parameters.
     metals = [link for link in draft.metal_links if link.member is not link.hetero]
     links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *metals])
-    ties = sites.ties_of(draft, [*draft.links, *draft.metal_links], at, x, elements, bonds)
+    sprung = [*draft.links, *draft.metal_links]
+    ties = sites.stated_ties(draft, sprung, at) or sites.ties(sprung, at, x, elements, bonds)
     residue_parts = [part for part in draft.parts for _ in part.members]
     return Structure(
         name=draft.name,
-        topology=_topology(draft.parts, draft.states, bonds),
+        topology=_topology(draft, bonds),
         positions=x,
         repairs=tuple(draft.repairs),
         left_out=draft.left_out,
@@ -334,26 +331,20 @@ def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
     return np.array(occupancies)
 
 
-def _indices(states: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
+def _indices(draft: Draft) -> dict[int, dict[str, int]]:
     """Return the index of each atom, by ``id`` of its residue and by name."""
     at: dict[int, dict[str, int]] = {}
     n = 0
-    for member, _ in states:
+    for member in draft.members:
         at[id(member)] = {atom.name: n + k for k, atom in enumerate(member.atoms)}
         n += len(member.atoms)
     return at
 
 
-def _bonds(
-    draft: Draft,
-    states: list[tuple[Member, Template]],
-    bridges: list[tuple[Member, Member]],
-    links: list[Link],
-    at: dict[int, dict[str, int]],
-) -> Integers:
+def _bonds(draft: Draft, at: dict[int, dict[str, int]]) -> Integers:
     """Return the bonds (nbonds, 2) of templates and chains, disulfides, and links of hetero molecules."""
     pairs: list[tuple[int, int]] = []
-    for member, template in states:
+    for member, template in draft.states:
         index = at[id(member)]
         pairs += [(index[a], index[b]) for a, b in template.outward if a in index and b in index]
     for part in draft.parts:
@@ -361,16 +352,16 @@ def _bonds(
         for member, following_member in zip(part.members, following, strict=False):
             end, start = ("O3'", "P") if part.obstacle else ("C", "N")
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
-    pairs += _link_indices(links, at)
-    pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
+    pairs += _link_indices([*draft.links, *draft.other_links, *draft.metal_links], at)
+    pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in draft.bridges]
     return np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1)
 
 
-def _topology(parts: list[Part], states: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
+def _topology(draft: Draft, bonds: Integers) -> app.Topology:
     topology = app.Topology()
     atoms = []
-    templates_of = {id(member): template for member, template in states}
-    for part in parts:
+    templates_of = {id(member): template for member, template in draft.states}
+    for part in draft.parts:
         chain, is_hetero = None, part.obstacle
         for member in part.members:
             if chain is None or chain.id != member.chain_id:

@@ -1,17 +1,25 @@
-"""Protonation states, and the hydrogens of each residue."""
+"""Protonation states, and the hydrogens of each residue.
 
-from collections.abc import Generator, Mapping
+PROPKA computes the pKa of side chains in their surroundings: Olsson, Soendergaard, Rostkowski, Jensen,
+J. Chem. Theory Comput. 7:525 (2011), and Soendergaard, Olsson, Rostkowski, Jensen, ibid. 7:2284 (2011).
+"""
+
+import logging
+from collections.abc import Generator, Mapping, Sequence
+from io import StringIO
+from string import ascii_letters, digits
 
 import gemmi
 import numpy as np
 
 from protochain.core.checks import AUTO
+from protochain.core.errors import StructureError
+from protochain.core.optional_libraries import library
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.templates import Template, rename
 from protochain.structure.preparation.flips import choose_flips
-from protochain.structure.preparation.pka import compute_pka
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 
 BONDED = 1.5
@@ -23,13 +31,17 @@ _BRIDGED_NAME = "CYX"
 _NO_PKA: Mapping[int, float] = {}
 """pKa of single residues. Without entries, the pKa of the kind of residue applies."""
 _UNPLACED = [float("nan")] * 3
+_PER_CHAIN = 9000
+"""Residues per chain of the PDB text, and the names of its chains."""
+_CHAINS = ascii_letters + digits
+_GROUPS = {"ASP", "GLU", "HIS", "CYS", "LYS"}
 
 
 def protonate(draft: Draft) -> Changes:
     """Choose protonation states by names and hydrogens, or else by pH. Positions of new hydrogens are NaN."""
     templates, ph = draft.templates, draft.reading.chemistry.ph
     bridged = {id(member) for pair in draft.bridges for member in pair}
-    pka = compute_pka(draft) if draft.reading.ph == AUTO else _NO_PKA
+    pka = _compute_pka(draft) if draft.reading.ph == AUTO else _NO_PKA
     shown = {id(m): "CYX" if id(m) in bridged else _lone_pair(m) or _state_in_file(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _state_at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = choose_flips(
@@ -85,7 +97,8 @@ def _template(
     template = template or usual
     if shown and member.name in residues.PHOSPHORYLATED:
         template = template.exchange("O1P", _acid_oxygens(member)[0])
-    if _is_imidazolate(member):
+    if member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}:
+        # Both nitrogens bind metals, as in superoxide dismutase.
         template = template.without_hydrogen("NE2")
         yield Repair.of(Kind.IMIDAZOLATE, residue=member.residue)
     for linked in member.links:
@@ -104,11 +117,6 @@ def _lone_pair(member: Member) -> str:
     if member.name == "LYS" and any(a.name == "NZ" for a in member.metals):
         return "LYN"
     return ""
-
-
-def _is_imidazolate(member: Member) -> bool:
-    """Whether both nitrogens of a histidine bind metals, as in superoxide dismutase."""
-    return member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}
 
 
 def _state_in_file(member: Member) -> str:
@@ -182,3 +190,48 @@ def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, No
     if unmatched:
         yield Repair.of(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(unmatched))
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)
+
+
+def _compute_pka(draft: Draft) -> Mapping[int, float]:
+    """Compute the pKa of a protein's acids and bases, in the presence of the hetero molecules."""
+    run = library("propka.run", "pka")
+    members = draft.members
+    if len(members) > _PER_CHAIN * len(_CHAINS):
+        raise StructureError(f"{draft.source}: ph auto: {len(members)} residues are too many for PROPKA")
+    logging.getLogger("propka").setLevel(logging.ERROR)
+    try:
+        result = run.single("x.pdb", ["-q"], StringIO(_as_pdb(draft, members)), write_pka=False)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise StructureError(f"{draft.source}: PROPKA fails ({error}); give ph a number") from None
+    groups = [group for group in result.conformations["AVR"].groups if group.residue_type in _GROUPS]
+    places = {_chain_and_number(k): id(member) for k, member in enumerate(members)}
+    return {places[g.atom.chain_id, g.atom.res_num]: float(g.pka_value) for g in groups}
+
+
+def _chain_and_number(k: int) -> tuple[str, int]:
+    """Return the chain and number of a residue in the input of PROPKA."""
+    return _CHAINS[k // _PER_CHAIN], k % _PER_CHAIN + 1
+
+
+def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
+    """Return the heavy atoms as PDB records, with a TER after each piece of a chain."""
+    number = {id(member): _chain_and_number(k) for k, member in enumerate(members)}
+    lines = list[str]()
+    for part in draft.parts:
+        record = "HETATM" if part.obstacle else "ATOM"
+        for member in part.members:
+            chain, n = number[id(member)]
+            for a in member.atoms:
+                if not a.is_hydrogen():
+                    place = "".join(f"{coordinate:8.3f}" for coordinate in a.pos.tolist())
+                    lines.append(
+                        f"{record:6}{1:5d} {_aligned_name(a):4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
+                        f"{1.0:6.2f}{0.0:6.2f}          {a.element.name.upper():>2}"
+                    )
+        lines.append("TER")
+    return "\n".join([*lines, "END", ""])
+
+
+def _aligned_name(a: gemmi.Atom) -> str:
+    """Return the name of an atom, aligned by its element."""
+    return a.name[:4] if len(a.element.name) > 1 or len(a.name) > 3 else f" {a.name}"

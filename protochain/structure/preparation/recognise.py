@@ -26,10 +26,9 @@ def template_by_element(member: Member) -> Template:
         distance = float(np.linalg.norm(x[i] - x[j]))
         if _BOND_SHORTEST < distance < radius[i] + radius[j] + _BOND_SLACK:
             bonds.append((atoms[i].name, atoms[j].name))
-    heavy = [a for a in atoms if not a.is_hydrogen()]
-    for atom in atoms:
-        if atom.is_hydrogen():
-            bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
+    heavy = member.heavy
+    for atom in (a for a in atoms if a.is_hydrogen()):
+        bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
     return Template(
         member.name,
         {a.name: a.element.name for a in atoms},

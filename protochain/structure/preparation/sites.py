@@ -312,18 +312,6 @@ def _metal_links(draft: Draft) -> list[Link]:
     return links
 
 
-def ties_of(
-    draft: Draft,
-    links: Sequence[Link],
-    at: Mapping[int, Mapping[str, int]],
-    x: Floats,
-    element: Sequence[str],
-    bonds: Integers,
-) -> tuple[Tie, ...]:
-    """Return the file's springs, or else springs at the input's geometry. Arguments as for :func:`ties`."""
-    return (_stated_ties(draft, links, at) or ties(links, at, x, element, bonds)) if links else ()
-
-
 def ties(
     links: Sequence[Link],
     at: Mapping[int, Mapping[str, int]],
@@ -358,9 +346,9 @@ def ties(
     return tuple(tie for tie in springs if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
 
 
-def _stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
     """Return the file's springs, or none if it lacks one of the links. Arguments as for :func:`ties`."""
-    if not all(_ends(link) in draft.springs for link in links):
+    if not links or any(_ends(link) not in draft.springs for link in links):
         return ()
     index: dict[Address, int] = {}
     for member in draft.members:
@@ -409,19 +397,19 @@ def _pair_sulphurs(cysteines: list[Member]) -> list[Bridge]:
     """Pair the close sulphurs, the nearest first."""
     # Sulphurs at one metal may be close to each other. One bonded to a hetero molecule has no free valence.
     sulphurs = [
-        member
+        (member, sulphur)
         for member in cysteines
-        if member.atom("SG") and not member.metals and all(a.name != "SG" for a in member.links)
+        if (sulphur := member.atom("SG")) and not member.metals and all(a.name != "SG" for a in member.links)
     ]
-    x = [_sulphur(member) for member in sulphurs]
+    x = [sulphur.pos.tolist() for _, sulphur in sulphurs]
     near = KDTree(x).query_pairs(DISULFIDE) if x else set()
-    distances = sorted((_sulphur_distance(sulphurs[i], sulphurs[j]), i, j) for i, j in near)
+    distances = sorted((sulphurs[i][1].pos.dist(sulphurs[j][1].pos), i, j) for i, j in near)
     bonded: set[int] = set()
     bridges: list[Bridge] = []
     for _, i, j in distances:
         if not bonded & {i, j}:
             bonded |= {i, j}
-            bridges.append((sulphurs[i], sulphurs[j]))
+            bridges.append((sulphurs[i][0], sulphurs[j][0]))
     return bridges
 
 
@@ -474,12 +462,6 @@ def _requested_bridge(
 
 def _label(member: Member) -> str:
     return f"{member.chain_id}:{member.seqid}"
-
-
-def _sulphur(member: Member) -> list[float]:
-    sulphur = member.atom("SG")
-    assert sulphur is not None
-    return sulphur.pos.tolist()
 
 
 def _sulphur_distance(first: Member, second: Member) -> float:
