@@ -13,8 +13,8 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, DormandPrince, ImplicitMidpoint, Leapfrog, Load, RungeKutta4
 from protochain.mechanics.multibody import random_tree
 from protochain.mechanisms import Rosenbrock
+from protochain.mechanisms.bending import BendingSystem
 from protochain.mechanisms.flexible.dynamics import momenta
-from protochain.mechanisms.flexible.equations import BendingSystem
 from protochain.mechanisms.flexible.flexible import bend
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])

@@ -31,6 +31,7 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.bending import BendingSystem
 from protochain.mechanisms.flexible.dynamics import (
     Route,
     canonical_rates,
@@ -38,7 +39,6 @@ from protochain.mechanisms.flexible.dynamics import (
     multiply_mass,
     rates_of,
 )
-from protochain.mechanisms.flexible.equations import BendingSystem
 from protochain.mechanisms.flexible.flexible import Flexible, bend, elastic
 from protochain.mechanisms.segments import Beam
 

@@ -1,10 +1,15 @@
 """O(n) mechanics of trees of rigid bodies, independent of proteins and energies."""
 
-from protochain.mechanics.multibody.composite import mass_matrix
 from protochain.mechanics.multibody.forward import forward_dynamics
 from protochain.mechanics.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
 from protochain.mechanics.multibody.loops import log_det_closed, solve_closed
-from protochain.mechanics.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass
+from protochain.mechanics.multibody.mass import (
+    Method,
+    log_det_mass,
+    mass_matrix,
+    sample_velocities,
+    solve_mass,
+)
 from protochain.mechanics.multibody.newton_euler import (
     centre_of_mass,
     inverse_dynamics,
