@@ -23,6 +23,7 @@ from .comparison.deviation import rmsd as rmsd
 from .comparison.differences import Differences as Differences
 from .comparison.differences import differences as differences
 from .comparison.dihedral_scan import scan as scan
+from .comparison.docking import complex_quality as complex_quality
 from .comparison.frames import EveryFrame as EveryFrame
 from .comparison.hessian import hessian as hessian
 from .comparison.hessian import hessian_product as hessian_product

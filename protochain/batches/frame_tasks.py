@@ -177,13 +177,13 @@ class ScoreFrames(Task):
     @property
     def columns(self) -> tuple[str, ...]:
         """The sides, their scores, and RMSDs from the reference."""
-        from protochain.comparison.deviation import DOCKING
+        from protochain.comparison.docking import DOCKING
 
         return ("interface", *SCORES, *MAKEUP, *RESIDUES, *(DOCKING if self.reference else ()))
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Find the sides, and build the energy."""
-        from protochain.comparison.deviation import docking_rmsds
+        from protochain.comparison.docking import docking
 
         pairs = [split_sides(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
@@ -197,7 +197,7 @@ class ScoreFrames(Task):
             if self.relax:
                 frame = relax_structure(frame, energy, RelaxSettings()).structure
             row = score_sides(frame, energy, *pairs[0], parts).record()
-            row |= docking_rmsds(self.reference, frame, *pairs[0]) if self.reference else {}
+            row |= docking(self.reference, frame, *pairs[0]) if self.reference else {}
             return {key: row[key] for key in self.columns}, None
 
         return act

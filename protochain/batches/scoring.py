@@ -37,7 +37,7 @@ class ScoreJob:
 
     def run(self, threads: int | None) -> Iterator[Scored]:
         """Score each interface."""
-        from protochain.comparison.deviation import docking_rmsds
+        from protochain.comparison.docking import docking
 
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
@@ -52,7 +52,7 @@ class ScoreJob:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
                 interface = score_sides(structure, energy, *pair, sides(structure, *pair), confidences)
-                deviations = docking_rmsds(self.reference, structure, *pair) if self.reference else {}
+                deviations = docking(self.reference, structure, *pair) if self.reference else {}
                 yield self.label, replace(interface, scores={**interface.scores, **deviations})
         except Exception as error:
             message = reason(error, self.path)[1]

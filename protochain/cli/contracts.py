@@ -13,8 +13,9 @@ from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
 from protochain.comparison import spread as of_spread
-from protochain.comparison.deviation import DOCKING, RmsdFrames
+from protochain.comparison.deviation import RmsdFrames
 from protochain.comparison.differences import TORSIONS
+from protochain.comparison.docking import DOCKING, QUALITY
 from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
 from protochain.dynamics.simulate_settings import SimulationSettings
@@ -74,7 +75,10 @@ _KNOWN: Kinds = {
         for columns in (of_minimising.COLUMNS, _OF_RELAXING, of_modes.COLUMNS, of_deviation.COLUMNS)
         for column in columns
     },
-    **{key: number(measure) for key, measure in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
+    **{
+        key: number(measure)
+        for key, measure in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES, **DOCKING}.items()
+    },
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
 _OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
@@ -254,7 +258,7 @@ _ENERGIES = _row([*TERMS, "total"])
 _SIDES = _row("chain_1 residue_1 name_1 chain_2 residue_2 name_2")
 _BY = ({"of": str, **_ENERGIES}, {**_RESIDUE, **_ENERGIES}, {**_SIDES, **_ENERGIES})
 _MEASURED = _cells(
-    _optional(_row(["reference", "file", "model", *RmsdFrames.columns, "message"])),
+    _optional(_row(["reference", "file", "model", *RmsdFrames.columns, *QUALITY, "message"])),
     _row("reference file model message"),
 )
 _WHOLE = EnergyFrames(Setup()).columns

@@ -37,9 +37,10 @@ def rmsd(
     resume: Resume = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure RMSD and TM-score of models to a reference.
+    """Measure RMSD, TM-score and, of complexes, DockQ of models to a reference.
 
-    Files may have only C-alpha atoms. For frames of one file, write a CSV with a row for each frame.
+    Files may have only C-alpha atoms. Chains may be in any order and have any names. For frames of one file,
+    write a CSV with a row for each frame.
     """
     from protochain.comparison.deviation import rmsd_table
 
@@ -68,13 +69,16 @@ def rmsd(
 
 def print_deviations(rows: Rows) -> None:
     """Print a row for each model."""
+    from protochain.comparison.docking import HEADINGS
+
+    quality = {key: shown for key, shown in HEADINGS.items() if any(row.get(key) is not None for row in rows)}
     headings = ("file", "model", "RMSD angstrom", "TM-score", "matched residues", "chains")
-    print_rows(headings, [
+    print_rows([*headings, *quality.values()], [
         (
             row["file"], f"{row['model']:.0f}", f"{row['rmsd_angstrom']:.3f}",
             None if row["tm_score"] is None else f"{row['tm_score']:.4f}",
             f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
-            row["chain_mapping"],
+            row["chain_mapping"], *(row.get(key) for key in quality),
         )
         for row in rows
     ])  # fmt: skip

@@ -15,6 +15,7 @@ from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import plural
+from protochain.core.optional_libraries import library
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
@@ -27,7 +28,12 @@ _SHOWN = {
     "interface_plddt": "pLDDT", "iptm": "ipTM", "pae_angstrom": "PAE",
     "ipsae": "ipSAE", "pdockq": "pDockQ", "pdockq2": "pDockQ2",
 }  # fmt: skip
-"""Columns of the terminal, in kJ/mol and square angstrom."""
+"""Columns of the terminal, in kJ/mol and square angstrom. Columns of a reference follow."""
+_OTHER_PROGRAMS = {
+    "dG": "energy_kj_mol", "dSASA": "buried_area_angstrom2", "ShapeComplementarity": "shape_complementarity",
+    "PackStat": "packing", "n_InterfaceHbonds": "hydrogen_bonds", "i_pTM": "iptm", "i_pAE": "pae_angstrom",
+}  # fmt: skip
+"""Columns by the names of InterfaceAnalyzer and BindCraft, for ``--rank``."""
 
 
 @with_detail
@@ -43,7 +49,8 @@ def score(
         ),
     ] = None,
     rank: Annotated[
-        str | None, typer.Option(metavar="COLUMN", help="Column to sort by, the best first.")
+        str | None,
+        typer.Option(metavar="COLUMN", help="Column to sort by, the best first: energy, ipTM, DockQ."),
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV to write: a row for each interface.")] = None,
     residues: Annotated[
@@ -59,7 +66,7 @@ def score(
         bool, typer.Option("--relax", help="Relax each complex first, like protochain relax.")
     ] = False,
     reference: Annotated[
-        Path | None, typer.Option(help="Complex with these sides, such as a design, for RMSDs of sides.")
+        Path | None, typer.Option(help="Complex to compare with: DockQ, lDDT, RMSDs of sides and ligands.")
     ] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
@@ -77,9 +84,9 @@ def score(
     from protochain.batches.cluster import Processes
     from protochain.chains.contacts import overlapping
     from protochain.structure.matching import structure_to_measure
-    from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
-    columns = {**SCORES, **MAKEUP, **CONFIDENCES}
+    if reference:
+        library("peppr", "quality")
     reads = [reference] if reference else []
 
     def task() -> "Task":
@@ -94,8 +101,7 @@ def score(
         context, inputs, trajectory, frames, setup, task, csv, excluded="rank residues report",
         alone="resume", workers=workers, resume=resume, as_json=as_json, reads=reads,
     )  # fmt: skip
-    if rank is not None:
-        refuse_unknown(rank, "rank", columns)
+    ranking = None if rank is None else _column(rank, reference)
     options.check_page(report)
     files = options.files_of(inputs, setup)
     options.check_outputs([*reads, *(path for _, path, _ in files)], [csv, residues, report], setup)
@@ -117,9 +123,12 @@ def score(
         else ({"file": name, **result.record(), "message": ""}, result)
         for name, result in results
     ]
-    if rank:
-        pairs.sort(key=lambda entry: _place(entry[0].get(rank), columns[rank].better))
+    if ranking:
+        pairs.sort(key=lambda entry: _place(entry[0].get(ranking[0]), ranking[1]))
     rows, usable = [row for row, _ in pairs], [(row, scores) for row, scores in pairs if scores]
+    rank = ranking and ranking[0]
+    if usable and rank and all(row[rank] is None for row, _ in usable):
+        warn([f"no interface has {rank}, so that the order is as read"])
     warnings: list[str] = []
     for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
         if n := len(overlapping(structure, structure.positions)[0]):
@@ -138,6 +147,22 @@ def score(
     )  # fmt: skip
 
 
+def _column(name: str, reference: Path | None) -> tuple[str, int]:
+    """Key of a column by its key, heading or name in other programs, and whether more is better."""
+    from protochain.comparison.docking import DOCKING, HEADINGS
+    from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
+
+    columns = {**SCORES, **MAKEUP, **CONFIDENCES, **DOCKING}
+    headings = {shown: key for key, shown in {**_SHOWN, **HEADINGS}.items()} | _OTHER_PROGRAMS
+    keys = {text.lower(): key for text, key in [*headings.items(), *((key, key) for key in columns)]}
+    if name.lower() not in keys:
+        refuse_unknown(name, "rank", [*headings, *columns])
+    key = keys[name.lower()]
+    if key in DOCKING and reference is None:
+        raise ProtochainError(Argument("rank"), f" {name} requires ", Argument("reference"))
+    return key, columns[key].better
+
+
 def _place(value: Any, better: int) -> tuple[bool, float]:
     """Sort key of a ranking: the best first, missing values last."""
     return value is None, -(better or 1) * (value or 0.0)
@@ -145,7 +170,15 @@ def _place(value: Any, better: int) -> tuple[bool, float]:
 
 def _print(rows: Rows) -> None:
     """Print a row for each interface."""
-    shown = {key: stated for key, stated in _SHOWN.items() if any(row[key] is not None for row in rows)}
-    cells = ([Path(row["file"]).name, row["interface"], *(row[key] for key in shown)] for row in rows)
+    from protochain.comparison.docking import HEADINGS
+
+    columns = {**_SHOWN, **HEADINGS}
+    shown = {key: stated for key, stated in columns.items() if any(row.get(key) is not None for row in rows)}
+    # Predictors call many models by one name, in folders of their designs.
+    is_unique = len({Path(row["file"]).name for row in rows}) == len({row["file"] for row in rows})
+    cells = (
+        [Path(row["file"]).name if is_unique else row["file"], row["interface"], *(row[key] for key in shown)]
+        for row in rows
+    )
     print_rows(["file", "sides", *shown.values()], cells, texts=2)
     tell(Kind.RESULT, "energies in kJ/mol, areas in square angstrom; --csv and --json have all columns")

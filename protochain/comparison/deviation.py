@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Integers
 from protochain.core.checks import check_arguments, selection
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.lazy_pandas import pd
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
-from protochain.structure.matching import Match, match, models_of, structure_to_measure, tm_score
-from protochain.structure.select import select, sides
-from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
+from protochain.structure.matching import Match, match, models_of, pair_atoms, structure_to_measure, tm_score
+from protochain.structure.select import select
+from protochain.structure.superpose import deviation_angstrom, motion
 
 ALPHA = "name CA"
 """Selection of the C-alpha atoms, in MDAnalysis syntax."""
@@ -130,9 +128,15 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
 def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
 ) -> "pd.DataFrame":
-    """Measure many files against a reference: one row per model of each file, failures included."""
+    """Measure many files against a reference: one row per model of each file, failures included.
+
+    A reference with several chains or with ligands has further columns, ``docking.QUALITY``.
+    """
+    from protochain.comparison.docking import QUALITY, complex_quality, is_complex
+
     first = structure_to_measure(reference)
     select(first, align), select(first, measure)
+    with_quality = is_complex(first)
     rows = []
     for path in models:
         for number, structure in models_of(path):
@@ -140,34 +144,15 @@ def rmsd_table(
             try:
                 if isinstance(structure, StructureError):
                     raise structure
-                row |= {**deviation(first, structure, align, measure).record(), "message": ""}
+                row |= deviation(first, structure, align, measure).record()
+                if with_quality:
+                    measured = complex_quality(first, structure)
+                    row |= {key: measured[key] for key in QUALITY}
+                row["message"] = ""
             except ProtochainError as error:
                 row["message"] = str(error)
             rows.append(row)
     return pd.DataFrame(rows)
-
-
-DOCKING = ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom", "hotspot_rmsd_angstrom")
-"""Columns of :func:`docking_rmsds`."""
-
-
-def docking_rmsds(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float]:
-    """C-alpha RMSD of each side of a complex, each superposed, and of the second superposed by the first."""
-    matches, pairs = match(reference, model), list[tuple[Floats, Floats]]()
-    for side in sides(reference, first, second):
-        atoms_of_side = np.flatnonzero(side[reference.atom_residue])
-        at = _atoms(
-            reference, model, matches, f"name CA and index {' '.join(map(str, atoms_of_side.tolist()))}"
-        )
-        pairs.append((model.positions[at[1]], reference.positions[at[0]]))
-    (x, y), (moved, fixed) = pairs
-    turn, shift = motion(x, y)
-    values = (
-        rmsd_angstrom(x, y),
-        rmsd_angstrom(moved, fixed),
-        deviation_angstrom(moved @ turn.T + shift, fixed),
-    )
-    return dict(zip(DOCKING, values, strict=True))
 
 
 @dataclass(frozen=True)
@@ -196,17 +181,7 @@ class RmsdFrames:
 
 def _atoms(reference: Structure, model: Structure, matches: Match, query: str) -> tuple[Integers, Integers]:
     chosen = select(reference, query)
-    counterpart = dict(zip(matches.reference.tolist(), matches.model.tolist(), strict=True))
-    at = {
-        (int(r), str(name)): k
-        for k, (r, name) in enumerate(zip(model.atom_residue, model.atom_name, strict=True))
-    }
-    pairs = [
-        (k, at[key])
-        for k in np.flatnonzero(chosen).tolist()
-        if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k]))) in at
-    ]
-    if not pairs:
+    pairs = pair_atoms(reference, model, (matches.reference, matches.model), chosen)
+    if not len(pairs):
         raise ProtochainError(f"{model.name}: no atom of {query!r} matches {reference.name}")
-    first, second = np.array(pairs, dtype=np.int64).T
-    return first, second
+    return pairs[:, 0], pairs[:, 1]

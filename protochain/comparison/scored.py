@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from protochain.chains.setup import Setup
+from protochain.comparison.docking import DOCKING
 from protochain.results.page import table_data, write_page
 from protochain.results.provenance import command_line
 from protochain.results.viewer import library, residue_keys
@@ -25,12 +26,12 @@ def write_scored(
     interfaces: Sequence[Interface], rows: Sequence[Mapping[str, Any]], path: Path, setup: Setup, rank: str
 ) -> None:
     """Write the page of scored interfaces, one file that works offline."""
-    measures = {**SCORES, **MAKEUP, **CONFIDENCES}
+    measures = {**SCORES, **MAKEUP, **CONFIDENCES, **DOCKING}
     write_page(
         path,
         "interfaces.html",
         rows=rows,
-        data=_ranking(rows, [key for key in measures if any(row[key] is not None for row in rows)]),
+        data=_ranking(rows, [key for key in measures if any(row.get(key) is not None for row in rows)]),
         rank=rank,
         known=measures,
         models=[_model(interface, row) for interface, row in zip(interfaces[:_MOST], rows, strict=False)],
@@ -45,7 +46,7 @@ def write_scored(
 
 _FIRST = (
     "rank", "file", "interface", "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity",
-    "hydrogen_bonds", "salt_bridges", "unsatisfied_polar_atoms", "clashes", "ipsae", "pdockq2",
+    "hydrogen_bonds", "salt_bridges", "unsatisfied_polar_atoms", "clashes", "ipsae", "pdockq2", "dockq",
 )  # fmt: skip
 """Columns that are shown initially."""
 

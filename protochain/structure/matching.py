@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 
 import gemmi
 import numpy as np
+from numpy.typing import NDArray
 from openmm import app
 
+from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -112,6 +114,24 @@ def _make_match(
     return Match(first, second, how, float(same.mean()), len(pairs) / amino, chains)
 
 
+def pair_atoms(
+    reference: Structure, model: Structure, residues: tuple[Integers, Integers], chosen: NDArray[np.bool_]
+) -> Integers:
+    """Pairs (n, 2) of chosen atoms (na,) of the reference and atoms of the same names in paired residues."""
+    counterpart = dict(zip(*(index.tolist() for index in residues), strict=True))
+    place = {
+        (int(r), str(name)): k
+        for k, (r, name) in enumerate(zip(model.atom_residue, model.atom_name, strict=True))
+    }
+    pairs = [
+        (k, place[key])
+        for k in np.flatnonzero(chosen).tolist()
+        if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k])))
+        in place
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
 def tm_score(reference: Structure, model: Structure, matching: Match | None = None) -> float:
     """TM-score of the C-alphas by tmtools, normalised by and in the order of the reference."""
     ids = [chain for _, chain in matching.chains] if matching else []
@@ -163,7 +183,8 @@ def models_of(
         return
     for number in [model.num for model in parsed][: 1 if first else None]:
         try:
-            yield number, as_structure(parsed, source, model=number)
+            # Parts of strands that are far from the protein of one model are near in another.
+            yield number, as_structure(parsed, source, model=number, keep=(*defaults.KEEP, "nucleic"))
         except OnlyAlphaError:
             yield number, alpha_trace(parsed, source, number)
         except StructureError as error:

@@ -86,6 +86,7 @@ REQUIRED = {
     "quality": lambda: (S(),),
     "relax": lambda: (S(),),
     "relax_frames": lambda: (S(), S().positions[None]),
+    "complex_quality": lambda: (S(), S()),
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
     "scan_mutations": lambda: (S(), "A:3"),

@@ -216,8 +216,9 @@ CHAINS = {
     "unfold": lambda r: pc.unfold(r, max_steps=1).chain,
 }
 COORDINATES = {
-    "as_structure", "cluster_frames", "deviation", "differences", "energy_from", "quality", "rmsd", "save",
-    "save_ligands", "to_mdanalysis", "to_mdtraj", "to_simulation", "touching_chains", "validate", "view",
+    "as_structure", "cluster_frames", "complex_quality", "deviation", "differences", "energy_from", "quality",
+    "rmsd", "save", "save_ligands", "to_mdanalysis", "to_mdtraj", "to_simulation", "touching_chains",
+    "validate", "view",
 }  # fmt: skip
 """Calls that need neither energy nor chain."""
 NO_RESULT = {
