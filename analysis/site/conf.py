@@ -23,7 +23,8 @@ project, release, author = _project["name"], _project["version"], _project["auth
 copyright = author
 root_doc = "analysis/site/index"
 include_patterns = [
-    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "analysis/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md",
+    "analysis/README.md",
     "analysis/docs/**.md", "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb",
     "analysis/results/README.md", "analysis/workflows/README.md", "analysis/packaging/README.md",
     "analysis/plugins/README.md",
