@@ -1,5 +1,7 @@
 """Help of a command: the most common options, then all others by subject."""
 
+from importlib.resources import files
+from itertools import groupby
 from typing import Any
 
 from typer.core import TyperCommand
@@ -22,8 +24,20 @@ _GROUPS = {
 _ORDER = ("Arguments", "Used most", "Structure", "Force field", "Method", "Ligands", "Output", "Machine")
 
 
+def examples() -> dict[str, list[str]]:
+    """Command lines of each command, for files of the folder ``structures``, from ``examples.txt``."""
+    lines = (files("protochain.cli") / "examples.txt").read_text(encoding="utf-8").splitlines()
+    return {name: [*group] for name, group in groupby(lines, key=lambda line: line.split()[0])}
+
+
 class Command(TyperCommand):
-    """A command whose help has its options in groups."""
+    """A command whose help has its options in groups, and examples."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples, a line each."""
+        lines = examples()["minimise" if self.name == "minimize" else str(self.name)]
+        with formatter.section("Examples"):
+            formatter.write("".join(f"  protochain {line}\n" for line in lines))
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options, with a section for each group."""
