@@ -464,7 +464,10 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
 
 
 def _linked_atoms(structure: Structure) -> dict[int, set[int]]:
-    """Atoms by residue of the protein that have a bond to a hetero atom in place of a hydrogen."""
+    """Atoms by residue of the protein that have a bond in place of a hydrogen.
+
+    The bond is to a hetero atom. In histidines without protons the atom is NE2, whose bond is to a metal.
+    """
     atoms: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
