@@ -31,6 +31,11 @@ from protochain.mechanisms.robot_files import read_urdf
 
 P = ParamSpec("P")
 T = TypeVar("T")
+_RESERVED: dict[type[Named], tuple[str, ...]] = {
+    Body: (WORLD,), Hinge: (), Closing: (), Driven: (), Named: ("drives", "damping", "hinge friction"),
+    Event: (),
+}  # fmt: skip
+"""Kinds of parts, of which elements are Named -> names that they must not have."""
 
 
 def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism", P], None]:
@@ -80,12 +85,7 @@ class Mechanism:
         self._gravity = numbers(gravity, "gravity")
         self.degrees = units == "deg"
         """Whether angles are in degrees."""
-        self._bodies: dict[str, Body] = {}
-        self._hinges: dict[str, Hinge] = {}
-        self._closings: dict[str, Closing] = {}
-        self._drives: dict[str, Driven] = {}
-        self._elements: dict[str, Any] = {}
-        self._events: dict[str, Event] = {}
+        self._parts: dict[type[Named], dict[str, Any]] = {kind: {} for kind in _RESERVED}
         self.left_out: dict[str, str] = {}
         """Parts of the file that the mechanism does not have: kind -> an example's name."""
 
@@ -177,8 +177,7 @@ class Mechanism:
 
     def parts(self, kind: type[T]) -> Iterator[T]:
         """Yield the parts of a kind, in the order given."""
-        groups = self._bodies, self._hinges, self._closings, self._drives, self._elements, self._events
-        for group in groups:
+        for group in self._parts.values():
             yield from (part for part in group.values() if isinstance(part, kind))
 
     def add(self, part: Named) -> None:
@@ -195,19 +194,11 @@ class Mechanism:
         MechanicsError
             If the name is already in use.
         """
-        groups: tuple[tuple[type[Named], dict[str, Any], tuple[str, ...]], ...] = (
-            (Body, self._bodies, (WORLD,)),
-            (Hinge, self._hinges, ()),
-            (Closing, self._closings, ()),
-            (Driven, self._drives, ()),
-            (Event, self._events, ()),
-            (Named, self._elements, ("drives", "damping", "hinge friction")),
-        )
-        group, reserved = next((group, words) for kind, group, words in groups if isinstance(part, kind))
-        name, noun = part.name, part.noun
+        kind = next(kind for kind in type(part).__mro__ if kind in self._parts)
+        group, name, noun = self._parts[kind], part.name, part.noun
         if not isinstance(name, str) or not name:
             raise MechanicsError(f"the name {brief(name)} of a {noun}: give a text")
-        if name in reserved:
+        if name in _RESERVED[kind]:
             raise MechanicsError(f'"{name}" is reserved; give another name to the {noun}')
         if name in group:
             raise MechanicsError(f"{part.label} is named twice; give each a different name")
@@ -246,13 +237,14 @@ class Mechanism:
             If an element names an unknown part, or one of the wrong kind, as a torsion at a fixed hinge. If
             bodies and hinges are not trees, or a body has no inertia.
         """
-        if not self._bodies:
+        bodies, hinges, closings, drives, others, events = self._parts.values()
+        if not bodies:
             raise MechanicsError("the mechanism is empty; add a body by body()")
         starts = {}
-        for name, driven in self._drives.items():
-            if name not in self._hinges:
+        for name, driven in drives.items():
+            if name not in hinges:
                 raise MechanicsError(f'drive: there is no hinge "{name}"; add it by hinge()')
-            hinge = self._hinges[name]
+            hinge = hinges[name]
             if hinge.kind in ("fixed", "ball"):
                 raise MechanicsError(f'drive: hinge "{name}" is {hinge.kind}; give it another kind')
             q, qd, _ = driven.at(0.0)
@@ -263,10 +255,10 @@ class Mechanism:
                 )
             unit = np.pi / 180.0 if self.degrees and hinge.kind != "prismatic" else 1.0
             starts[name] = unit * q, unit * qd
-        tree = assemble(self._bodies, self._hinges, starts, self._gravity, self.degrees)
-        bodies = close_loops(tree, [*self._closings.values()])
+        tree = assemble(bodies, hinges, starts, self._gravity, self.degrees)
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)
-        elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]
-        elements += [one for one in self._elements.values() if not isinstance(one, first)]
-        return model_of(bodies, elements, list(self._drives.values()), tuple(self._events.values()))
+        elements = [one for kind in first for one in others.values() if isinstance(one, kind)]
+        elements += [one for one in others.values() if not isinstance(one, first)]
+        closed = close_loops(tree, [*closings.values()])
+        return model_of(closed, elements, list(drives.values()), tuple(events.values()))

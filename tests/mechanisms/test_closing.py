@@ -10,6 +10,8 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
 from protochain.mechanisms import Mechanism, Rosenbrock
+from protochain.mechanisms.assemble import Hinge
+from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
@@ -130,7 +132,7 @@ def random_closed():
 
 def test_rows_and_accelerations_are_derivatives_of_the_errors():
     m, rng = random_closed()
-    m._closings, closings = {}, list(m._closings.values())
+    m._parts[Closing], closings = {}, list(m._parts[Closing].values())
     bodies = m.build().bodies
     tree, q = bodies.tree, multibody.integrate(bodies.tree, bodies.q, rng.normal(size=bodies.tree.n_v))
     qd, qdd = rng.normal(size=(2, tree.n_v))
@@ -195,7 +197,7 @@ def test_an_impact_acts_through_the_loop():
 
 def test_coordinates_and_rates_that_are_given_stay_and_others_follow():
     m = four_bar()
-    m._hinges["A"].fix(q=0.3)
+    m._parts[Hinge]["A"].fix(q=0.3)
     model = m.build()
     assert model.q[0] == 0.3 and model.qd[0] == 3.0
     errors, rows = model.bodies.joints.rows(model.state().frames)
@@ -232,8 +234,8 @@ def out_of_reach():
 
 def contradicted():
     m = four_bar()
-    m._hinges["B"].fix(qd=1.0)
-    m._hinges["D"].fix(qd=1.0)
+    m._parts[Hinge]["B"].fix(qd=1.0)
+    m._parts[Hinge]["D"].fix(qd=1.0)
     return m
 
 

@@ -8,6 +8,7 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince, Equations, RungeKutta4, StepTooLargeError
 from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE
 from protochain.mechanisms import Mechanism
+from protochain.mechanisms.assemble import Body, Hinge
 from protochain.mechanisms.explicit import InOneKernel
 
 Y = (0, 1, 0)
@@ -49,8 +50,8 @@ def tree():
 
 def damped(m):
     """With dampers between points, and in a hinge."""
-    name = "A" if "A" in m._hinges else "p"
-    a, b = [*m._bodies][:2]
+    name = "A" if "A" in m._parts[Hinge] else "p"
+    a, b = [*m._parts[Body]][:2]
     m.torsion("slow", name, damping=0.7)
     m.spring("dash", (a, (0.1, 0, 0.4)), ("world", (0.5, 0.1, -1.0)), damping=2.0)
     m.spring("both", (b, (0.1, 0.2, 0.4)), ("world", (0.5, 1.0, 1.0)), stiffness=5.0, damping=1.0)

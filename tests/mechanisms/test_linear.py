@@ -10,6 +10,7 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import RungeKutta4
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms import Mechanism, frequencies, linearise, state_matrix
+from protochain.mechanisms.assemble import Hinge
 from protochain.mechanisms.segments import Beam, add_beam
 
 G = 9.81
@@ -170,7 +171,7 @@ def test_feed_forward_beside_balls_that_turn_is_mujoco_s_bias(bodies):
           <inertial pos="{numbers[0]}" mass="2" diaginertia="{numbers[1]}"/>"""
         end += "</body>"
     m.motor("mo", {"j": lambda t: (0.7 * t, 0.7, 0.0)}, feed_forward=True)
-    m._hinges["j"].fix(qd=0.7)
+    m._parts[Hinge]["j"].fix(qd=0.7)
     model = m.build()
     other = mujoco.MjModel.from_xml_string(f"""<mujoco><option gravity="0 0 {-G}"/><worldbody><body>
         <joint axis="0 0 1"/><inertial pos="0.5 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>{text}{end}

@@ -16,6 +16,7 @@ from protochain.mechanics.motion import (
     RungeKutta4,
 )  # fmt: skip
 from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, Torsion
+from protochain.mechanisms.assemble import Hinge
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.model import _Simulation
 
@@ -359,7 +360,7 @@ def test_a_drive_does_the_work_that_the_mechanism_gains():
     """A pendulum on a cart that is shaken: energy is the drive's work; the force is what Newton says."""
     m = pendulum(q=0.4)
     m.body("cart", 3.0)
-    m._hinges.clear()
+    m._parts[Hinge].clear()
     m.hinge("rail", "world", "cart", "prismatic", axis=(1, 0, 0))
     m.hinge("pin", "cart", "rod", axis=(0, -1, 0), q=0.4)
     a, w = 0.2, 6.0

@@ -10,6 +10,7 @@ from fixtures.tolerances import BY_MUJOCO
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms import Mechanism
+from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.hinge_springs import Stop
 
@@ -290,7 +291,7 @@ def test_loops_are_closed_unless_a_flag_has_them_off(flag):
     text = edited({"equality/weld body1": "b", "equality/weld body2": "c"})
     text = text if flag is None else text.replace("<flag", f'<flag {flag}="disable"')
     m = Mechanism.from_mjcf(text)
-    assert len(m._closings) == (flag is None)
+    assert len(m._parts[Closing]) == (flag is None)
     assert ("inactive equality" in m.left_out) == (flag is not None)
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms import Mechanism
+from protochain.mechanisms.assemble import Hinge
 from protochain.mechanisms.loop_joints import factor_loops
 
 TURN = Rotation.from_rotvec([0.3, 0.5, -0.7]).as_matrix()
@@ -56,7 +57,7 @@ def welded(kind=None, other=False):
         inward = {"axis_b": TURN.T @ np.cross((0.2, 0.5, 1.0), (1, 0, 0))} if kind == "universal" else {}
         m.close("again", ("a", place), ("b", TURN.T @ (place - at)), kind, axis=(0.2, 0.5, 1.0), **inward)
     if other:
-        m._hinges["pin"].fix(qd=0.0)
+        m._parts[Hinge]["pin"].fix(qd=0.0)
         m.close("held", ("c", (0.1, 0, 0)), ("world", m.build().state().point("c", (0.1, 0, 0))), "planar")
     return m.build()
 
