@@ -13,7 +13,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.assembly import Assembly, Motion
-from protochain.mechanisms.bodies import WORLD, Bodies
+from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.bushing import Bushings
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.element_arguments import number, numbers
@@ -104,7 +104,7 @@ class Mesh(NamedTuple):
 class Drawing(NamedTuple):
     """A motion to draw."""
 
-    names: tuple[str, ...]  # Bodies.
+    bodies: Bodies
     shapes: tuple[Shape, ...]  # Of bodies and the world.
     lines: Lines  # lines, grounds, meshes: Springs, planes, and surfaces.
     grounds: tuple[Ground, ...]
@@ -120,10 +120,6 @@ class Drawing(NamedTuple):
         """Diagonal of the box."""
         size = float(np.linalg.norm(self.high - self.low))
         return size if size > 0.0 else 1.0
-
-    def number(self, body: str) -> int:
-        """Number of a body, -1 for the world."""
-        return -1 if body == WORLD else self.names.index(body)
 
     def place(self, k: int, body: int, points: Floats) -> Floats:
         """Points (..., 3) of a body at moment k, in the world."""
@@ -148,11 +144,11 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     )
     meshes = tuple(Mesh(s.body, s.corners @ bodies.axes(s.body)) for s in finders if isinstance(s, OnSurface))
     times, corner = run.time[list(rows)], np.zeros(3)
-    picture = Drawing(bodies.names, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
+    picture = Drawing(bodies, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
     reached = [origin.reshape(-1, 3)]
     for shape in outlines:
         points, reach = _outline(shape)
-        b = picture.number(shape.body)
+        b = bodies.number(shape.body)
         for k in range(len(rows)):
             at = picture.place(k, b, points)
             reached += [at - reach, at + reach]

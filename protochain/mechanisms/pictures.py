@@ -220,7 +220,7 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
         line = [across @ of.place(k, int(b), at) for b, at in zip(ends, points, strict=True)]
         ax.add_collection(LineCollection([line], colors="#666666", linewidths=1.0, linestyles="dashed"))
     for shape in of.shapes:
-        b = of.number(shape.body)
+        b = of.bodies.number(shape.body)
         colour = COLOURS[b % len(COLOURS)] if b >= 0 else "#999999"
         look: dict[str, Any] = {"facecolor": colour, "edgecolor": "white", "linewidth": 0.4}
         if isinstance(shape, Ball):
@@ -257,7 +257,7 @@ def _data_of(picture: Drawing) -> dict[str, Any]:
     lasts = float(picture.times[-1] - picture.times[0])
     across = _across(picture, None)
     back = np.cross(across[0], across[1])
-    shapes = [{"body": picture.number(shape.body), **_shape(shape)} for shape in picture.shapes]
+    shapes = [{"body": picture.bodies.number(shape.body), **_shape(shape)} for shape in picture.shapes]
     lines = [{"ends": ends.tolist(), "points": points.tolist()}
              for ends, points in zip(picture.lines.ends, picture.lines.points, strict=True)]  # fmt: skip
     grounds = []
@@ -272,9 +272,10 @@ def _data_of(picture: Drawing) -> dict[str, Any]:
         grounds.append({"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": v.tolist()})
     meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in picture.meshes]
     return {
-        "names": list(picture.names), "colours": list(COLOURS), "times": np.round(picture.times, 12).tolist(),
-        "meshes": meshes, "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds,
-        "middle": middle.tolist(), "size": picture.size, "fine": fine, "thick": THICK * picture.size,
+        "names": list(picture.bodies.names), "colours": list(COLOURS),
+        "times": np.round(picture.times, 12).tolist(), "meshes": meshes, "frames": frames, "shapes": shapes,
+        "lines": lines, "grounds": grounds, "middle": middle.tolist(), "size": picture.size, "fine": fine,
+        "thick": THICK * picture.size,
         "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
         "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
         "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,
