@@ -6,12 +6,12 @@ a cyclic coordinate does not change at all.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from protochain.core.arrays import Floats, floats
+from protochain.core.arrays import Floats, Integers, floats
 from protochain.core.errors import BodyError, Fault, MechanicsError
 from protochain.mechanics.multibody.rotations import hinge_accelerations
 from protochain.mechanisms.flexible import kernels
@@ -37,7 +37,7 @@ def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
     return twists
 
 
-def _nodes(flexible: Flexible, bent: Bent) -> tuple[Any, ...]:
+def _nodes(flexible: Flexible, bent: Bent) -> tuple[Integers, Floats, Floats, Floats, Floats]:
     """Arguments of the sweeps for bodies and their nodes."""
     return flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns
 

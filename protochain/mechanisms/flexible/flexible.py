@@ -152,7 +152,7 @@ class Flexible(Value):
         return read_only(np.pad(self.tree.rotors, (0, self.n_v - self.tree.n_v)))
 
     @cached_property
-    def arrays(self) -> tuple[Floats, ...]:
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
         """Places, masses, inertias (nn, ...), moves and turns (nn, K, 3), shortening (nn, K, K, 3)."""
         sections = self.sections
         return (
