@@ -146,12 +146,14 @@ class _Typing:
         assigned = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
         for atoms in targets:
             if key(atoms) not in assigned:
-                names = "-".join(self.molecule.names[i] for i in atoms)
-                raise ForceFieldError(
-                    f"{self.molecule.source}: {self.force_field.path.name} has no {section} for {names}; "
-                    "give a force field that has as ", Argument("forcefield"),
-                )  # fmt: skip
+                raise self._lacks(section, "-".join(self.molecule.names[i] for i in atoms))
         return assigned
+
+    def _lacks(self, section: str, atoms: str) -> ForceFieldError:
+        return ForceFieldError(
+            f"{self.molecule.source}: {self.force_field.path.name} has no {section} for {atoms}; "
+            "give a force field that has as ", Argument("forcefield"),
+        )  # fmt: skip
 
     def matches(self, rule: Rule, n: int = 0) -> set[Atoms]:
         query = quietly(self.chem.MolFromSmarts, rule.smirks)
@@ -173,11 +175,7 @@ class _Typing:
         """Refuse an atom with five or six neighbours: Sage has one angle for them, near 109 degrees."""
         for i, around in enumerate(self.near):
             if len(around) > 4:
-                centre = f"{self.molecule.names[i]} with {len(around)} neighbours"
-                raise ForceFieldError(
-                    f"{self.molecule.source}: {self.force_field.path.name} has no Angles for {centre}; "
-                    "give a force field that has as ", Argument("forcefield"),
-                )  # fmt: skip
+                raise self._lacks("Angles", f"{self.molecule.names[i]} with {len(around)} neighbours")
 
     def refuse_unhandled(self, allowed: set[str]) -> None:
         """Other sections may be there, but none of their patterns may fit this molecule."""

@@ -55,9 +55,7 @@ def from_sequence(sequence: str) -> Structure:
     for letter, geometry in zip(letters, geometries, strict=True):
         if letter == "P":
             geometry.phi = PROLINE_PHI
-    model = PeptideBuilder.initialize_res(geometries[0])
-    for geometry in geometries[1:]:
-        PeptideBuilder.add_residue(model, geometry)
+    model = PeptideBuilder.make_structure_from_geos(geometries)
 
     name = letters if len(letters) <= 20 else f"{letters[:17]}_{len(letters)}"
     members = [

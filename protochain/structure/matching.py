@@ -240,7 +240,7 @@ def _by_chain(s: Structure) -> dict[str, list[int]]:
 def _alignments(
     refs: dict[str, list[int]], models: dict[str, list[int]], reference: Structure, model: Structure
 ) -> dict[tuple[int, int], _Alignment]:
-    """Alignments of all pairs of chains, computed once for equal sequences."""
+    """Alignments of all pairs of chains, row by row, computed once for equal sequences."""
     unique: dict[tuple[tuple[str, ...], tuple[str, ...]], _Alignment] = {}
     alignments = {}
     for i, ref in enumerate(refs.values()):
@@ -260,10 +260,9 @@ def _by_score(
     """Chains (k,) of the model with the largest sum of scores, or -1. Unrelated chains pair by id."""
     from scipy.optimize import linear_sum_assignment
 
-    related = np.array(
-        [[aligned[i, j].identity >= _RELATED for j in range(len(models))] for i in range(len(refs))]
-    )
-    scores = np.array([[aligned[i, j].score for j in range(len(models))] for i in range(len(refs))])
+    shape = len(refs), len(models)
+    related = np.reshape([alignment.identity >= _RELATED for alignment in aligned.values()], shape)
+    scores = np.reshape([alignment.score for alignment in aligned.values()], shape)
     lowest = float(scores.min()) - 1.0
     same = np.array([[ref_id == model_id for model_id in models] for ref_id in refs])
     first, second = linear_sum_assignment(-np.where(related, scores, lowest + 0.5 * same))
@@ -277,8 +276,8 @@ def _least_rmsd_mapping(
 ) -> Integers:
     """Mapping of chains with the least RMSD, among chains as similar as in the first mapping."""
     k, m = (1 + max(pair[side] for pair in aligned) for side in (0, 1))
-    identity = np.array([[aligned[i, j].identity for j in range(m)] for i in range(k)])
-    n_matched = np.array([[len(aligned[i, j].pairs) for j in range(m)] for i in range(k)])
+    identity = np.reshape([alignment.identity for alignment in aligned.values()], (k, m))
+    n_matched = np.reshape([len(alignment.pairs) for alignment in aligned.values()], (k, m))
     # Chains with identical pieces need not be equal.
     alike = np.where(identity >= _RELATED, identity * n_matched, 0.0)
     likest = np.maximum(alike.max(axis=1)[:, None], alike.max(axis=0)[None])

@@ -55,7 +55,9 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             if files[0].suffix.lower() in (".prmtop", ".parm7") and _is_charmm_prmtop(files[0]):
-                return _read_charmm_prmtop(*files)
+                # MDAnalysis finds no charges in these files.
+                prmtop, positions = app.AmberPrmtopFile(str(files[0])), app.AmberInpcrdFile(str(files[1]))
+                return _from_openmm(prmtop.topology, positions.positions)
             atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
             return _from_mdanalysis(atoms, light=len(files) > 1)
     except Exception as error:  # MDAnalysis raises many types.
@@ -70,12 +72,6 @@ def _is_charmm_prmtop(topology: Path) -> bool:
 
 
 _TITLE_LINES = 10
-
-
-def _read_charmm_prmtop(topology: Path, positions: Path) -> gemmi.Structure:
-    """Read a CHARMM force field in Amber format with OpenMM, because MDAnalysis finds no charges."""
-    prmtop = app.AmberPrmtopFile(str(topology))
-    return _from_openmm(prmtop.topology, app.AmberInpcrdFile(str(positions)).positions)
 
 
 def text_of_binary(data: bytes, source: str) -> str:

@@ -44,10 +44,10 @@ class Graph:
         return self.bonds.get(frozenset((a, b)), 0)
 
     def remove(self, atoms: Sequence[str]) -> None:
-        """Remove atoms with their bonds."""
-        for atom in atoms:
-            del self.atoms[atom]
-        self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & {*atoms}}
+        """Remove atoms with their hydrogens and bonds."""
+        removed = {*atoms}.union(*map(self.light, atoms))
+        self.atoms = {name: atom for name, atom in self.atoms.items() if name not in removed}
+        self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & removed}
 
     def backbone(self, prefix: str) -> bool:
         """Whether N, CA, C and O are bonded as in alanine, with tetrahedral CA and C of an acid or amide."""
@@ -82,7 +82,7 @@ class Graph:
             self.swap_oxygens(x)
         removed = [atom for x in at for atom in groups[x]]
         freed = sum(self.order(a, x) for x in at)
-        self.remove([atom for x in removed for atom in (x, *self.light(x))])
+        self.remove(removed)
         return removed, freed
 
     def beyond(self, a: str, x: str) -> dict[str, None]:
@@ -151,7 +151,7 @@ class Graph:
             self.atoms[a][1], need = 1, 0  # A sulphonium, as of methionine and tyrosine of catalases.
         if len(removed) < need:
             raise StructureError(f"{a.partition(':')[2]} has no valence left for a bond")
-        self.remove([y for x in removed for y in (x, *(self.light(x) if x in ends else ()))])
+        self.remove(removed)
         return removed
 
     def molecule(self, source: str) -> Molecule:

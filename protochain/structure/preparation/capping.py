@@ -120,8 +120,7 @@ class FragmentBuilder:
         absent = [
             a for a, (z, _) in graph.atoms.items() if a.startswith(tag) and z != _H and a not in self.in_file
         ]
-        far = [a for a in absent if not self.in_file.keys() & {*graph.heavy(a)}]
-        graph.remove([y for x in far for y in (x, *graph.light(x))])
+        graph.remove([a for a in absent if not self.in_file.keys() & {*graph.heavy(a)}])
 
     def _leaver(self, a: str) -> list[str]:
         """Return the oxygen of a nucleotide that leaves if the strand continues, under any name."""
@@ -232,10 +231,7 @@ class FragmentBuilder:
                 self._cap(n, *_STRAND_BEFORE)
             elif before is None and part.is_strand and n in graph.atoms and n not in self.in_file:
                 # The strand begins with a hydroxyl.
-                ends = [x for x in graph.heavy(n) if len(graph.heavy(x)) == 1]
-                graph.remove(
-                    [y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())]
-                )
+                graph.remove([n, *(x for x in graph.heavy(n) if len(graph.heavy(x)) == 1)])
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
@@ -332,12 +328,10 @@ def _parametrise(
     graph = Graph()
     graph.add("", protonated)
     for prefix in amines:
-        caps = [prefix + name for name in ("C-", "O-", "CA-")]
-        graph.remove([y for x in caps for y in (x, *graph.light(x))])
+        graph.remove([prefix + name for name in ("C-", "O-", "CA-")])
         graph.atoms[prefix + "N"][1] = 1
     for prefix in acids:
-        caps = [prefix + name for name in ("N+", "CA+")]
-        graph.remove([y for x in caps for y in (x, *graph.light(x))])
+        graph.remove([prefix + name for name in ("N+", "CA+")])
         graph.atoms[prefix + "OXT"] = [_O, -1]
         graph.bonds[frozenset((prefix + "C", prefix + "OXT"))] = 1
     molecule = graph.molecule(source) if acids or amines else protonated

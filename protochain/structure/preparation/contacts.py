@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from protochain.core.arrays import Floats, sphere
+from protochain.core.graph import neighbours
 from protochain.structure.molecule.hydrogens import place_hydrogens
 from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.templates import Template
@@ -50,10 +51,7 @@ def surroundings(
     heavy = [(a, m, _HISTIDINE if t is None else t.hydrogens) for m, t in residues for a in m.heavy]
     x, elements = [a.pos.tolist() for a, *_ in heavy], [a.element.name for a, *_ in heavy]
     bonds = KDTree(x).query_pairs(_BONDED, output_type="ndarray")
-    near: list[list[int]] = [[] for _ in heavy]
-    for i, j in bonds.tolist():
-        near[i].append(j)
-        near[j].append(i)
+    near = neighbours(bonds, len(heavy))
     rows, parents = [], list[int]()
     for k, (a, m, hydrogens) in enumerate(heavy):
         element, n = a.element.name, len(hydrogens.get(a.name, ()))

@@ -66,15 +66,12 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
         codes = {id(part.members[0]): _sugar_code(part.members[0], bonds) for part in glycan}
         refusal = next(surroundings.refusals([part.members[0] for part in glycan], bonds, codes), "")
         refusal = refusal if has_glycam else f"GLYCAM-06j goes with {HAS_GLYCAM} only"
+        # Bonds found by geometry count as bonds that the file states.
+        ends = [(x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds]
         if refusal:
-            # Bonds found by geometry count as bonds that the file states.
-            draft.stated_bonds += [
-                (x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds
-            ]
+            draft.stated_bonds += ends
             continue
-        draft.glycosidic += [
-            (x.member.address(x.atom.name), x.hetero.address(x.hetero_atom.name)) for x in bonds
-        ]
+        draft.glycosidic += ends
         facts: dict[str, Any] = {"count": len(glycan), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in bonds if id(link.member) not in row), None)
         if root is not None:
