@@ -14,9 +14,8 @@ from protochain.core.palette import looks
 from protochain.core.storage import write_text
 from protochain.minimisers.record import SHORT_COLUMNS, short_columns
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.results.columns import Column
+from protochain.results.columns import Column, energies_by_term
 from protochain.results.page import write_page as fill
-from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, library, scene
 from protochain.structure import Structure
 from protochain.structure.molecule.repairs import Repair, loss_lines

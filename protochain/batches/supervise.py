@@ -15,7 +15,7 @@ from typing import IO, Any
 
 from protochain.batches.child import DONE
 from protochain.core.interrupts import held_interrupts
-from protochain.core.subprocesses import own_python
+from protochain.core.processors import own_python
 
 _START = 600.0
 """s. Time for a child to import and, on a new installation, to compile. Several may compile at once."""

@@ -12,11 +12,10 @@ from protochain.chains.setup import Setup
 from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
-from protochain.comparison import spread as of_spread
 from protochain.comparison.deviation import RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.docking import DOCKING, QUALITY
-from protochain.comparison.work import WITHIN
+from protochain.comparison.work import SPREAD_COLUMNS, WITHIN
 from protochain.dynamics import simulation
 from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.energies.decomposed import TERMS
@@ -172,7 +171,7 @@ _WORK = _row(
     ["method", "lowest_kj_mol"]
     + [f"{cost}_within_{near:g}_kj_mol" for cost in ("evaluations", "seconds") for near in WITHIN]
 )
-_SPREAD = _row(of_spread.COLUMNS)
+_SPREAD = _row(SPREAD_COLUMNS)
 _COMPARED = {**_SOLUTION, **_ORIGIN, "output": str | None}
 _COMPARISON = {
     **_row("structure input output seconds_preparation engine_reason system_sha256 judge seed threads"),

@@ -19,8 +19,7 @@ from protochain.comparison.deviation import deviation
 from protochain.comparison.differences import Differences, concatenate, of_ends, totals_of
 from protochain.comparison.folder import clear
 from protochain.comparison.quality import quality
-from protochain.comparison.spread import spreads
-from protochain.comparison.work import at_equal_cost, work_to_reach
+from protochain.comparison.work import at_equal_cost, spreads, work_to_reach
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.settings import document_fields
@@ -30,11 +29,10 @@ from protochain.minimisers import Solution
 from protochain.minimisers.record import short_columns
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.minimisers.starts import lowest_solution
-from protochain.results.columns import flat
+from protochain.results.columns import energies_by_term, flat
 from protochain.results.figures import data_url
 from protochain.results.page import render
 from protochain.results.provenance import of_run
-from protochain.results.terms import energies_by_term
 from protochain.results.viewer import View, scene
 from protochain.structure import Structure, ca_rmsd, save
 from protochain.structure.molecule.repairs import loss_lines

@@ -11,10 +11,10 @@ from protochain.comparison.differences import Differences, concatenate, of_ends,
 from protochain.comparison.plots import plot_differences
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
+from protochain.results.columns import energies_by_term
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
-from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
 from protochain.structure.molecule.repairs import loss_lines
 from protochain.validation.bonding import hydrogen_bonds

@@ -15,8 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from protochain.core.processors import processors
-from protochain.core.subprocesses import own_python
+from protochain.core.processors import own_python, processors
 
 MOST = 3
 """Helpers. More would wait for one another's kernels."""

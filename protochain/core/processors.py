@@ -1,6 +1,7 @@
-"""How many processors this process may use, which can be fewer than the machine has."""
+"""Processors that this process may use, and command of further processes."""
 
 import os
+import sys
 from pathlib import Path
 
 _CGROUPS = Path("/sys/fs/cgroup")
@@ -39,3 +40,9 @@ def _text(path: Path) -> str:
         return path.read_text()
     except OSError:
         return ""
+
+
+def own_python(statement: str) -> list[str]:
+    """Command that runs a statement. ``-P`` ignores a ``gemmi.py`` in the current folder."""
+    first = "import sys; sys.path.append(sys.argv.pop(1)); "
+    return [sys.executable, "-P", "-c", first + statement, str(Path(__file__).parents[2])]

@@ -11,11 +11,11 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import document_fields
-from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.hinge_springs import Dampers
 from protochain.dynamics.thermostats import Bath, Thermostat
+from protochain.mechanics import multibody
 from protochain.mechanics.motion.system import Integrator, Phase, StepTooLargeError, System
-from protochain.mechanics.multibody import sample_velocities
+from protochain.mechanics.multibody import Frames, HingeKind, Tree, sample_velocities
 
 COM_REMOVAL_STEPS = 100
 """Steps between removals of the centre-of-mass motion that accumulates by rounding."""
@@ -203,3 +203,28 @@ def initial(propagator: Propagator, q: Floats) -> State:
         qd = remove_com_motion(system.tree, at.factors.frames, qd)
     at = system.with_velocities(at, qd)
     return State(0, at, propagator.thermostat.init(at))
+
+
+def has_free_roots(tree: Tree) -> bool:
+    """Whether all roots are free, so that an isolated system conserves momentum."""
+    return bool(np.all(tree.kind[tree.parent < 0] == HingeKind.FREE))
+
+
+def remove_com_motion(tree: Tree, frames: Frames, qd: Floats) -> Floats:
+    """Remove translation and rotation of the whole from velocities (n_v,), if all roots are free."""
+    centre = multibody.centre_of_mass(tree, frames)
+    turns = [_rigid_motion(tree, frames, axis, np.zeros(3), centre) for axis in np.eye(3)]
+    inertia = np.stack([multibody.momentum(tree, frames, turn)[1] for turn in turns], axis=1)
+    linear, angular = multibody.momentum(tree, frames, qd)
+    # A lone diatomic has neither inertia nor angular momentum about its axis.
+    omega = np.asarray(np.linalg.lstsq(inertia, angular, rcond=1e-12)[0], dtype=np.float64)
+    return np.asarray(qd - _rigid_motion(tree, frames, omega, linear / tree.mass.sum(), centre))
+
+
+def _rigid_motion(tree: Tree, frames: Frames, omega: Floats, u: Floats, centre: Floats) -> Floats:
+    """Velocities of the roots for a rotation of the whole system about the centre and a translation."""
+    qd = np.zeros(tree.n_v)
+    for b in np.flatnonzero(tree.parent < 0):
+        k = tree.v_start[b]
+        qd[k : k + 3], qd[k + 3 : k + 6] = omega, u + np.cross(omega, frames.origin[b] - centre)
+    return qd

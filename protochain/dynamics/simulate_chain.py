@@ -27,11 +27,10 @@ from protochain.core.settings import document_settings, settings_from
 from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
-from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.folder import Folder, check_folder, constants_of, rescue_on_failure
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.integrators import INTEGRATORS
-from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
+from protochain.dynamics.loop import Ending, Propagator, State, advance, has_free_roots, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential, fixman
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_fixed

@@ -16,12 +16,11 @@ from protochain.core.arrays import Floats, read_only
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy
 from protochain.minimisers import restraints
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.metrics import NEAR_REFRESH, Solve
 from protochain.minimisers.problem import Evaluation, Force, Placement, Space
-from protochain.minimisers.restraints import Bound, SoftRepulsion, Sum, Tethers
+from protochain.minimisers.restraints import Bound, ChiralityRestraint, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.spring_model import Springs
 from protochain.minimisers.stages import Stage

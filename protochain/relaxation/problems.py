@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from protochain.chains.contacts import overlapping
 from protochain.core.arrays import Floats, Integers
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.relaxation.peptides import PeptideBonds
+from protochain.minimisers.restraints import ChiralityRestraint
+from protochain.relaxation.restraints import PeptideBonds
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
 from protochain.validation.rings import ThreadedRing

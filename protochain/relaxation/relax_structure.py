@@ -21,17 +21,17 @@ from protochain.core.markup import abridge, plural
 from protochain.core.timings import measure_run, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import prepare_energy
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.judging import CachedEnergy
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import check_dihedrals
+from protochain.minimisers.restraints import ChiralityRestraint
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, describe_rejections, verdict
-from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_settings import RelaxSettings, fixed_options, split
+from protochain.relaxation.restraints import PeptideBonds
 from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Relaxer, RoundEnd, best_round
 from protochain.structure import Structure

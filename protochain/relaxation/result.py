@@ -19,10 +19,10 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import RunEnds
 from protochain.minimisers.verdict import Status
-from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.problems import Problems
 from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
 from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.relaxation.restraints import PeptideBonds
 from protochain.relaxation.rounds import Round
 from protochain.results.columns import record
 from protochain.results.provenance import remarks

@@ -14,7 +14,6 @@ from protochain.core.graph import both_ways
 from protochain.core.settings import document_fields
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import TetheredModel, unthreading_stages
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
@@ -22,14 +21,13 @@ from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import NEAR_REFRESH
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, evaluate
-from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
+from protochain.minimisers.restraints import ChiralityRestraint, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
-from protochain.relaxation.peptides import PeptideBonds
-from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
 from protochain.relaxation.problems import Problems
+from protochain.relaxation.restraints import PeptideBonds, Planes
 from protochain.structure import Structure
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")

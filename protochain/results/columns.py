@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain.core.lazy_pandas import pd
 from protochain.structure.molecule.repairs import far_molecules, lost_atoms, n_lost
 
 UNITS = {
@@ -186,3 +187,19 @@ def of_losses(structure: Callable[[Any], Any]) -> Iterator[Column]:
     yield Column("n_lost_atoms", lambda r: n_lost(structure(r).losses))
     yield Column("far_molecules", lambda r: far_molecules(structure(r).losses), kind=list[str])
     yield Column("repairs", lambda r: [str(repair) for repair in structure(r).repairs], kind=list[str])
+
+
+def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> "pd.DataFrame":
+    """Energy of each term at the start and at each end, from records by the names of ends."""
+    rows = []
+    for key in dict.fromkeys(key for record in records.values() for key in record):
+        name = key.removeprefix("energy_").removesuffix("_start_kj_mol")
+        if key != f"energy_{name}_start_kj_mol":
+            continue
+        # A run that failed has no numbers.
+        start = next((record[key] for record in records.values() if record.get(key) is not None), None)
+        ends = {f"{end}_kj_mol": record.get(f"energy_{name}_end_kj_mol") for end, record in records.items()}
+        if start or any(ends.values()):
+            rows.append({"term": heading(name), "start_kj_mol": start, **ends})
+    columns = ["term", "start_kj_mol", *(f"{end}_kj_mol" for end in records)]
+    return pd.DataFrame(rows, columns=columns)

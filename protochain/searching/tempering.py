@@ -8,12 +8,12 @@ criterion (Swendsen, Wang, Phys. Rev. Lett. 57:2607, 1986, and Sugita, Okamoto, 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import erfcinv
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
-from protochain.searching.ladder import equally_spaced, geometric, length_of_acceptance
 from protochain.searching.landscape import Landscape
 from protochain.searching.walker_steps import Finding, stream
 
@@ -27,6 +27,29 @@ TARGET = 0.8
 _GAIN = 0.1
 _STEPS = 0.002, 0.04
 """Shortest and longest time step, ps."""
+_RAREST, _MOST_FREQUENT = 1e-3, 0.999
+"""Limits of acceptances. Values closer to 0 or 1 would need more trials than a pilot has."""
+
+
+def geometric(low: float, high: float, n: int) -> Floats:
+    """Temperatures (n,) with constant ratios, K, which is optimal for a constant heat capacity."""
+    return np.geomspace(low, high, n)
+
+
+def length_of_acceptance(acceptance: Floats) -> Floats:
+    """Thermodynamic length between temperatures with this acceptance of exchanges."""
+    # For energies with normal distributions of one width s it is L = s |1/kT - 1/kT'|, and the mean
+    # acceptance is erfc(L/2) (Predescu, Predescu, Ciobanu, J. Chem. Phys. 120:4119, 2004).
+    return np.asarray(2.0 * erfcinv(np.clip(acceptance, _RAREST, _MOST_FREQUENT)))
+
+
+def equally_spaced(temperatures: Floats, lengths: Floats) -> Floats:
+    """Replace inner temperatures so that thermodynamic lengths between neighbours are equal."""
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    targets = np.linspace(0.0, along[-1], len(temperatures))
+    ladder = np.exp(np.interp(targets, along, np.log(temperatures)))
+    ladder[[0, -1]] = temperatures[[0, -1]]
+    return np.asarray(ladder)
 
 
 @dataclass(frozen=True, eq=False)

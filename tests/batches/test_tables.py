@@ -20,7 +20,7 @@ from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.core import storage
-from protochain.results.terms import energies_by_term
+from protochain.results.columns import energies_by_term
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
 JOBS = [Job(name, Path(f"/in/{name}.pdb"), TWO, f"key-{name}") for name in ("one", "two", "three")]

@@ -19,7 +19,7 @@ from numba.core.caching import FunctionCache
 
 from protochain.core import compilation, compile_helpers
 from protochain.core.compilation import njit
-from protochain.core.subprocesses import own_python
+from protochain.core.processors import own_python
 from protochain.mechanics.multibody import algebra
 
 CALLEE = """

@@ -22,8 +22,7 @@ from protochain.dynamics import (
     System,
     fixman,
 )  # fmt: skip
-from protochain.dynamics.com_motion import remove_com_motion
-from protochain.dynamics.loop import noise
+from protochain.dynamics.loop import noise, remove_com_motion
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import lobatto
 from protochain.mechanics.motion.correction import correct

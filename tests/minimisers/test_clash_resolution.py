@@ -16,12 +16,11 @@ from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, spring_model, verdict
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import all_atom_clash_stages, torsion_clash_stages
 from protochain.minimisers.curvature import near_terms, springs_solver
 from protochain.minimisers.metrics import Damped
 from protochain.minimisers.problem import evaluate
-from protochain.minimisers.restraints import Bound, SoftRepulsion
+from protochain.minimisers.restraints import Bound, ChiralityRestraint, SoftRepulsion
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
 from protochain.minimisers.start_warnings import FAR, StrayWatcher, describe_start, describe_stray, is_crowded

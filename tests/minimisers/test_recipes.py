@@ -11,7 +11,6 @@ from fixtures.samples import chain, energy
 import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.annealing import Annealing, AnnealingState
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import BACKBONE_TETHER, run_if_unstrained
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
@@ -21,7 +20,15 @@ from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Damped, Mass, Stiffness
 from protochain.minimisers.newton import PseudoTransient, PseudoTransientState
-from protochain.minimisers.restraints import SOFT_TETHER, Bound, Hold, SoftRepulsion, Tethers, UserRestraint
+from protochain.minimisers.restraints import (
+    SOFT_TETHER,
+    Bound,
+    ChiralityRestraint,
+    Hold,
+    SoftRepulsion,
+    Tethers,
+    UserRestraint,
+)
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import PATIENCE, Stage, last, lowest
 from protochain.minimisers.steps import Fixed, StrongWolfe

@@ -108,7 +108,7 @@ def test_kernels_are_compiled_with_one_set_of_settings():
 def test_python_is_started_in_one_place():
     """Elsewhere it might forget to leave out the folder that it is started in."""
     starts = {path.name for path in MODULES if "sys.executable" in path.read_text()}
-    assert starts == {"subprocesses.py", "compile_helpers.py"}  # The latter looks whether it is a Python.
+    assert starts == {"processors.py", "compile_helpers.py"}  # The latter looks whether it is a Python.
 
 
 MESSAGES = {"message", "messages", "repairs", "changes", "parts"}

@@ -7,7 +7,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
+from protochain.minimisers.restraints import ChiralityRestraint
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Relaxer
 from protochain.structure.molecule.chirality import chiral_atoms, mirror_images, wrong_centres

@@ -11,10 +11,10 @@ from protochain.core.arrays import dihedral_slopes
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.restraints import Tethers
 from protochain.minimisers.verdict import verdict
-from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
 from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_structure import _newly_reversed, describe_problems
+from protochain.relaxation.restraints import PeptideBonds
 from protochain.relaxation.rounds import Relaxer
 from protochain.validation.layout import dihedrals
 from protochain.validation.omega import isomerised_bonds, omegas, twisted_bonds

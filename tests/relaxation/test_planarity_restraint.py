@@ -5,7 +5,7 @@ import pytest
 from fixtures.samples import SAMPLES, load
 
 import protochain as pc
-from protochain.relaxation.planarity_restraint import Planes
+from protochain.relaxation.restraints import Planes
 from protochain.validation import violations
 
 ANGLE = np.radians(75.0)

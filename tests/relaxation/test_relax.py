@@ -21,9 +21,9 @@ from protochain.minimisers.clash_resolution import unthreading_stages
 from protochain.minimisers.loop import Stop
 from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, problems, rounds
 from protochain.relaxation.names import relaxed_name
-from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.problems import Problems
 from protochain.relaxation.relax_structure import _newly_inverted, relax_structure
+from protochain.relaxation.restraints import PeptideBonds
 from protochain.relaxation.rounds import Relaxer
 from protochain.structure.molecule.chirality import wrong_centres
 from protochain.structure.molecule.residues import VAN_DER_WAALS

@@ -9,8 +9,8 @@ from fixtures.samples import load
 
 import protochain as pc
 from protochain.chains.contacts import overlaps
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.restraints import ChiralityRestraint
 from protochain.minimisers.stages import Outcome
 from protochain.relaxation import rounds
 from protochain.relaxation.presets import PRESETS

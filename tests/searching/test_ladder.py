@@ -5,8 +5,13 @@ import pytest
 from scipy.special import erfc
 
 from protochain.core.units import MOLAR_GAS
-from protochain.searching.ladder import equally_spaced, geometric, length_of_acceptance
-from protochain.searching.tempering import exchange, update_headings
+from protochain.searching.tempering import (
+    equally_spaced,
+    exchange,
+    geometric,
+    length_of_acceptance,
+    update_headings,
+)
 
 
 def test_exchanges_of_normal_energies_are_accepted_as_the_length_says():

@@ -5,10 +5,9 @@ import pytest
 
 import protochain as pc
 from protochain.core.units import MOLAR_GAS
-from protochain.searching.ladder import geometric
 from protochain.searching.landscape import Landscape
 from protochain.searching.statistics import mean_and_error
-from protochain.searching.tempering import Replicas
+from protochain.searching.tempering import Replicas, geometric
 from protochain.searching.walker_steps import advance
 
 WITHIN = 3.5

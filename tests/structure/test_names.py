@@ -8,7 +8,7 @@ from fixtures.samples import STRUCTURES
 from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
-from protochain.minimisers.chirality_restraint import ChiralityRestraint
+from protochain.minimisers.restraints import ChiralityRestraint
 from protochain.structure.molecule.repairs import Kind, Reason
 from protochain.structure.molecule.residues import D_NAMES
 from protochain.structure.write import as_text

@@ -17,7 +17,7 @@ from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
-from protochain.core.subprocesses import own_python
+from protochain.core.processors import own_python
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Closure, System, chain_potential
 from protochain.dynamics.closure import closure_of
