@@ -167,7 +167,7 @@ def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensem
     """Open frames, prepare their structure, and map its atoms to the atoms of the frames."""
     frames_read = open_frames(as_frames(top if frames is None else frames), select)
     structure = setup.load(top)
-    names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues")
+    names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues", "cap")
     settings = {name: getattr(setup, name) for name in names}
     return Ensemble.of(structure, frames_read, settings), frames_read
 

@@ -189,6 +189,13 @@ class Setup(Settings):
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", checks.flag, bool
     )
+    cap: str = setting(
+        defaults.CAP,
+        "Chain ends to cap with ACE and NME: none, breaks, ends (unless the file's sequence ends there), or "
+        "all.",
+        checks.one_of(defaults.CAPPED),
+        doc="Ends of chains with caps in place of charged termini, as in :func:`protochain.load`.",
+    )
     # Residues whose side chains are rebuilt together from the backbone alone: ``all``, or a selection.
     rebuild_side_chains: str = setting("", "", checks.text)
     # Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains. Side chains of
@@ -260,7 +267,7 @@ class Setup(Settings):
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,
             chains=self.chains, ligands=self.ligands, ligand_charges=self.ligand_charges,
-            standard_residues=self.standard_residues,
+            standard_residues=self.standard_residues, cap=self.cap,
         )  # fmt: skip
         if not (self.rebuild_side_chains or self.sequence):
             return structure

@@ -285,7 +285,7 @@ _FACTS = {
     **_row("hinges input left_out loops lost_atoms n_atoms n_bodies n_chains n_hinges n_q n_residues n_v"),
     **_row("overlaps violations repairs seconds_chain seconds_import seconds_preparation"),
     **_optional(_row("engine engine_reason threads constant_terms seconds_energy", seconds_energy=float)),
-    **_optional(_row("device devices", devices=list[str])),
+    **_optional(_row("device devices breaks", devices=list[str], breaks=list[str])),
     "hinges": dict[str, int], "loops": list[str], "overlaps": list[str], "violations": list[str],
     **dict.fromkeys(("seconds_chain", "seconds_import", "seconds_preparation"), float),
 }  # fmt: skip

@@ -14,7 +14,7 @@ _FIRST = (
 _FEW = 5
 _GROUPS = {
     "Structure": "model assembly altloc chains keep exclude disulfide no_disulfide ph strict frames "
-    "standard_residues keep_hydrogens",
+    "standard_residues cap keep_hydrogens",
     "Force field": "forcefield solvent salt terms engine cutoff accuracy trust_forcefield",
     "Ligands": "ligands ligand_charges ligand_out free_ligands posebusters",
     "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "

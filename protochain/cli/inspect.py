@@ -35,7 +35,7 @@ def info(
     import_module("protochain.chains.articulate")
     from protochain.chains.contacts import overlaps
     from protochain.energies.factory import checked_files
-    from protochain.structure.molecule.repairs import lost_atoms
+    from protochain.structure.molecule.repairs import Kind, lost_atoms
     from protochain.validation.violations import violations
 
     checked_files(force_field_parts(setup.forcefield), setup.trust_forcefield)
@@ -64,6 +64,11 @@ def info(
         "seconds_preparation": loaded - imported,
         "seconds_chain": built - loaded,
     }
+    gaps = [repair.facts for repair in structure.repairs if repair.kind is Kind.GAP]
+    if breaks := [gap for gap in gaps if gap["goes_on"]]:
+        facts["breaks"] = [
+            f"{gap['last'].place}-{gap['first'].number} ({gap['length']:.1f} angstrom)" for gap in breaks
+        ]
     if energy:
         began = perf_counter()
         used = setup.energy(structure).without_constants(chain.rigid_groups, structure.positions)
@@ -92,7 +97,7 @@ def info(
             print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
 
 
-_NAMES = {"loops": "ring closures", "hinges": "kinds of hinges"}
+_NAMES = {"loops": "ring closures", "hinges": "kinds of hinges", "breaks": "breaks that --cap breaks caps"}
 _DETAILS = {"n_bodies", "n_q", "n_v", "seconds_import", "seconds_preparation", "seconds_chain"}
 """Facts that only ``--verbose`` and ``--json`` print."""
 

@@ -73,7 +73,7 @@ def refuse_misplaced(call: str, name: str) -> None:
 
 _OPTIONS_OF = {
     "pc.load(file, {}=...)": "model assembly altloc keep disulfide ph strict chains ligands ligand_charges "
-    "standard_residues",
+    "standard_residues cap",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
     "pc.energy(structure, {}=...)": "forcefield solvent salt engine device cutoff accuracy threads "
     "trust_forcefield system",

@@ -223,6 +223,15 @@ def order_parts():
     assert [part.obstacle for part in draft.parts] == [True, False]
 
 
+def cap_ends():
+    made = peptides("GAA")
+    draft = of_members(*(Member(r.name, str(k), "", "A", [*r]) for k, r in enumerate(made[0][0], 1)))
+    draft.reading = Reading(cap="ends")
+    yield draft, [Kind.CAP_AT_END] * 2
+    assert [m.name + m.number for m in draft.members] == ["ACE0", "GLY1", "ALA2", "ALA3", "NME4"]
+    assert not draft.members[3].atom("OXT")
+
+
 def list_bonds():
     draft = of_members(member("ALA", 1, ("CB", "C", 0.0)))
     draft.stated_bonds = [(("A", "1", "CB"), ("A", "7", "O"))]
@@ -253,7 +262,8 @@ def protonate():
 CASES = (
     build_assembly, choose_model, remove_pseudo_atoms, make_whole, correct_atoms, read_bonds, choose_chains,
     choose_altlocs, split_chains, join_chains, add_poses, choose_hetero, find_links, assign_chemistry,
-    report_links, report_hetero, order_parts, list_bonds, add_heavy_atoms, bond_disulfides, protonate,
+    report_links, report_hetero, order_parts, cap_ends, list_bonds, add_heavy_atoms, bond_disulfides,
+    protonate,
 )  # fmt: skip
 
 

@@ -144,6 +144,16 @@ class Kind(Enum):
         "split there, with charged termini; to avoid it, model the missing residues",
         rank=Rank.GAP,
     )
+    CAP_AT_BREAK = Words(
+        "{residue}: cap built at the break of the chain between {last.number} and {first.number} "
+        "({length:.1f} angstrom)",
+        "caps built at breaks of chains",
+    )
+    CAP_AT_END = Words("{residue}: cap built at the end of the chain", "caps built at the ends of chains")
+    OXYGEN_TURNED = Words(
+        "{residue}: O turned for a cap, which has no room opposite to its place in the file"
+    )
+    NOT_CAPPED = Words("{residue}: not capped: {why}")
     CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
     CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
     # Hetero molecules.
@@ -411,9 +421,9 @@ def summarise(repairs: Iterable[Repair], render: Render = str) -> tuple[str, ...
 
 _ACTION = frozenset({
     Kind.NOT_A_NUMBER, Kind.BLOCKS_LEFT_OUT, Kind.NO_END, Kind.EXCLUDED, Kind.COINCIDENT, Kind.NO_BACKBONE,
-    Kind.TORN, Kind.GAP, Kind.BOND_IGNORED, Kind.NEAR, Kind.STAYS_UNKNOWN, Kind.NO_PARAMETERS,
-    Kind.CHARGE_UNSURE, Kind.INVERTED, Kind.OTHER_ANOMER, Kind.SUGAR_INVERTED, Kind.NUCLEOTIDES_STAY,
-    Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED, Kind.ASSEMBLY,
+    Kind.TORN, Kind.GAP, Kind.NOT_CAPPED, Kind.BOND_IGNORED, Kind.NEAR, Kind.STAYS_UNKNOWN,
+    Kind.NO_PARAMETERS, Kind.CHARGE_UNSURE, Kind.INVERTED, Kind.OTHER_ANOMER, Kind.SUGAR_INVERTED,
+    Kind.NUCLEOTIDES_STAY, Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED, Kind.ASSEMBLY,
     *(kind for kind in Kind if kind.value.rank is Rank.LOSS and kind is not Kind.ALTERNATES),
 })  # fmt: skip
 
@@ -434,6 +444,8 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
         str(count) for kind in (Kind.KEPT, Kind.KEPT_BY_ELEMENT) for f in log[kind] for count in f["counts"]
     ]
     added = [plural(facts["count"], "hydrogen") for facts in log[Kind.HYDROGENS_ADDED]]
+    caps = len(log[Kind.CAP_AT_BREAK]) + len(log[Kind.CAP_AT_END])
+    added += [plural(caps, "cap")] if caps else []
     added += [f"missing atoms of {plural(completed, 'residue')}"] if completed else []
     removed = [plural(facts["count"], "water") for facts in log[Kind.WATERS_LEFT_OUT]]
     removed += [f"{count.n} {count.kind}" for count in molecules]

@@ -38,6 +38,7 @@ from protochain.structure.preparation import (
     protonate,
     pseudo_atoms,
     sites,
+    terminal_caps,
 )
 from protochain.structure.preparation import read as chain_passes
 from protochain.structure.preparation.structure_draft import Chemistry, Draft, Omission, Part, Reading
@@ -65,6 +66,7 @@ READING: tuple[Pass, ...] = (
     ligand_chemistry.parametrise_ligands,  # Small molecules.
     hetero_molecules.report_hetero,
     chain_passes.order_parts,
+    terminal_caps.cap_ends,
 )
 """Passes from a file to molecules of known chemistry."""
 COMPLETING: tuple[Pass, ...] = (
@@ -96,6 +98,7 @@ def load(
     ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] = (),
     ligand_charges: str | Path = defaults.LIGAND_CHARGES,
     standard_residues: bool = False,
+    cap: str = defaults.CAP,
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
@@ -148,6 +151,9 @@ def load(
     standard_residues : bool
         Convert modified residues to their standard parents, also phosphorylated residues with parameters in
         amber14 and amber19.
+    cap : str
+        Ends of chains at which acetyl (ACE) and methylamide (NME) replace charged termini: ``breaks``,
+        ``ends`` for the first and last residues, unless the sequence in the file ends there, or ``all``.
 
     Returns
     -------

@@ -255,7 +255,16 @@ def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
             f"{first.seqid} ({gap:.1f} angstrom); model the missing residues, or leave out ",
             Argument("strict", True),
         )
-    yield Repair.of(Kind.GAP, last=last.residue, first=first.residue, length=gap)
+    yield Repair.of(
+        Kind.GAP, last=last.residue, first=first.residue, length=gap, goes_on=_goes_on(last, first)
+    )
+
+
+def _goes_on(last: Member, first: Member) -> bool:
+    """Whether a residue follows another in one sequence, by the sequence in the file or by the numbers."""
+    if last.label[1] and first.label[1]:
+        return last.label[0] == first.label[0] and last.label[1] < first.label[1]
+    return (int(last.number), last.insertion_code) < (int(first.number), first.insertion_code)
 
 
 def _add_chain(draft: Draft, chain: list[Member]) -> Changes:

@@ -89,11 +89,13 @@ class Reading:
     assembly: str = ""  # Name of the biological assembly to build. None by default.
     disulfide: tuple[checks.Bond, ...] = ()  # Requested disulfide bonds.
     ph: float | str = defaults.PH
+    cap: str = defaults.CAP  # Ends of chains to cap.
 
     def __post_init__(self) -> None:
         checks.check_fields(
             self, model=checks.optional(checks.integer), altloc=checks.text, keep=checks.words,
             strict=checks.flag, chains=checks.words, standard_residues=checks.flag, assembly=checks.text,
+            cap=checks.one_of(defaults.CAPPED),
         )  # fmt: skip
 
 
