@@ -28,7 +28,7 @@ PLAIN = {
     "model": None,
     "assembly": "", "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
-    "ligand_charges": "nagl", "standard_residues": False,
+    "ligand_charges": "nagl", "standard_residues": False, "cap": "none",
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
 
@@ -198,7 +198,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "rigid_protein": "no",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chains": "A, B", "terms": "nonbonded",
-        "ligands": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
+        "ligands": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes", "cap": "ends",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
@@ -210,7 +210,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
         "chains": ("A", "B"), "ligands": (("ABC", "CCO"),), "ligand_charges": "gasteiger",
-        "standard_residues": True,
+        "standard_residues": True, "cap": "ends",
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.
     starts = {"n_starts": 4, "spread": math.pi / 2}

@@ -103,7 +103,7 @@ def _number_caps(residues: list[gemmi.Residue], length: int) -> None:
             used.add(place)
 
 
-def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]], complete: bool) -> bool:
+def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]], complete: bool = True) -> bool:
     """Whether an entity has a place for each residue. Its sequence is updated to the present names."""
     residues = [residue for subchain in entity.subchains for residue in residues_of[subchain]]
     is_polymer = entity.entity_type == gemmi.EntityType.Polymer
