@@ -1,10 +1,11 @@
 """Explicit Runge-Kutta methods for trees: high-order references, not for long runs (the energy drifts)."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from protochain.core.checks import check_fields
-from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
+from protochain.mechanics.motion.substeps import TOLERANCE, in_substeps
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
 from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
 
@@ -61,8 +62,5 @@ class DormandPrince(Integrator):
         StepTooLargeError
             If a substep would have to be shorter than rounding allows.
         """
-
-        def substep(at: Phase, h: float) -> Tried:
-            return system.advance(self.tableau, at, h)
-
+        substep = partial(system.advance, self.tableau)
         return in_substeps(substep, system, at, time_step, self.tolerance, self.order)
