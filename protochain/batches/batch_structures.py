@@ -12,7 +12,16 @@ from typing import Any
 from protochain.batches.batch_settings import store_settings
 from protochain.batches.cluster import Processes, Submitted, Workers, open_workers
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, find_jobs, refuse_unknown
-from protochain.batches.table import OF_INTERFACE, RELAXED, SUMMARY, Tables, earlier_rows, read_table
+from protochain.batches.table import (
+    OF_INTERFACE,
+    OF_POSES,
+    POSES,
+    RELAXED,
+    SUMMARY,
+    Tables,
+    earlier_rows,
+    read_table,
+)
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.core import defaults
@@ -230,7 +239,9 @@ def run_batch(
         )
     scores = any(RELAX in job.settings.methods and job.settings.relaxing.interface for job in jobs)
     methods = {method for job in jobs for method in job.settings.methods}
-    tables = Tables(folder, resume, name, methods, OF_INTERFACE if scores else (), force)
+    has_poses = any(RELAX in job.settings.methods and job.settings.setup.poses for job in jobs)
+    further = (*(OF_INTERFACE if scores else ()), *(OF_POSES if has_poses else ()))
+    tables = Tables(folder, resume, name, methods, further, force)
     try:
         tables.check()
         store_settings(folder, common, jobs, tables.summary.name)
@@ -340,6 +351,10 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
 
     folder, table = tables.folder, tables.read()
     write_atomically(folder / f"{tables.name}.parquet", lambda to: table.to_parquet(to, index=False))
+    if {*OF_POSES} <= {*table}:
+        poses = table[table["method"] == RELAX][["structure", "status", "message", *OF_POSES]]
+        poses.columns = poses.columns.str.removeprefix("pose_")
+        write_text(folder / POSES, poses.to_csv(index=False))
     summary = {
         "n_structures": len(jobs),
         "table": f"{tables.name}.csv",

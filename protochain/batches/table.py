@@ -17,9 +17,11 @@ from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.lazy_pandas import pd
 from protochain.core.storage import check_writable, claim_folder, regular, write_text
 from protochain.minimisers import record
+from protochain.relaxation.poses import COLUMNS as OF_POSE
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.results.columns import Kind
 from protochain.results.run_folder import REPLACE, csv_text, refuse_earlier, remove_files, saving
 
 _LISTS = ("rounds", "ligands", "restraint_violations", "timings")
@@ -36,6 +38,8 @@ RELAXED_COLUMNS = (
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
+OF_POSES = tuple(OF_POSE)
+"""Columns of an added pose, and with ``structure``, ``status`` and ``message`` of ``poses.csv``."""
 OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
 """Columns of the scores of an interface."""
 
@@ -46,6 +50,8 @@ _TYPES |= {
     for column in (*record.COLUMNS, *OF_RELAXING, *INTERFACE_COLUMNS)
     if column.kind in (int, int | None) or get_origin(column.kind) in (list, dict)
 }
+_OF_KINDS: dict[Kind, str] = {bool | None: "boolean", int | None: "Int64", str: "string"}
+_TYPES |= {name: _OF_KINDS[kind] for name, kind in OF_POSE.items() if kind in _OF_KINDS}
 """Types of columns for pandas. Names that look like numbers remain text. Integers may be missing."""
 _OF_ROWS = ("structure", "method", "status", "input", "model", "output", "key")
 """Columns of ``summary.csv`` that resuming requires."""
@@ -69,8 +75,8 @@ _NUMBERS: dict[str, Callable[[str], float]] = {
 """Readers of numeric columns."""
 
 
-SUMMARY, RELAXED, _TRACES = "summary", "relaxed", "traces.csv"
-"""Stems of the tables of a batch and of relaxed structures, and the name of the table of traces."""
+SUMMARY, RELAXED, _TRACES, POSES = "summary", "relaxed", "traces.csv", "poses.csv"
+"""Stems of the tables of a batch and of relaxed structures, and names of the tables of traces and poses."""
 
 
 def replaceable_files(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
@@ -81,7 +87,7 @@ def replaceable_files(folder: Path, name: str, resume: bool, force: bool) -> lis
 
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
     """Files of a batch in its folder, except structures, pages and plots."""
-    names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)
+    names = (f"{name}.csv", f"{name}.parquet", _TRACES, POSES, "summary.json", "report.html", SETTINGS)
     return [folder / file_name for file_name in names]
 
 
@@ -109,7 +115,7 @@ class Tables:
         other_table = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
         files = self.summary, self.traces, folder / SETTINGS
         if force and not resume:
-            remove_files((*files, other_table, other_table.with_suffix(".parquet")))
+            remove_files((*files, folder / POSES, other_table, other_table.with_suffix(".parquet")))
         self._new = [file for file in files if not file.exists()]
         # Two tables in a folder would share settings and traces.
         if other_table.exists():

@@ -1,6 +1,7 @@
 """One job of a batch: run all methods, yield rows and traces, and write files."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -13,8 +14,11 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
+from protochain.core.errors import ProtochainError
 from protochain.core.lazy_pandas import pd
 from protochain.core.storage import regular
+from protochain.ligands.sources import title_of
+from protochain.relaxation.poses import pose_record
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.structure.formats.confidences import copy_confidences
 from protochain.structure.formats.files import suffix_of
@@ -71,9 +75,12 @@ class Task:
 
     def lost(self, finished_rows: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were unfinished when the process ended."""
+        title = _title(self.job.settings.setup)
+        message = f"{title}: {message}" if title else message
         finished = {row.record["method"] for row in finished_rows}
         missing = [method for method in self.job.settings.methods if method not in finished]
-        return [failure(self.job, method, status, message, seconds) for method in missing]
+        rows = [failure(self.job, method, status, message, seconds) for method in missing]
+        return [replace(row, record=row.record | {"pose_title": title}) for row in rows]
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
@@ -93,15 +100,16 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
         structure, energy = inputs[setups[method]]
         result: Solution | Relaxation
-        of_starts: dict[str, Any] = {}
+        further: dict[str, Any] = {}
         if method == RELAX:
             result, trace = _relax(structure, energy, s)
+            further = pose_record(result)
             suffix = suffix_of(job.path)
         else:
             assert chain
-            result, of_starts = _run(chain, energy, method, s)
+            result, further = _run(chain, energy, method, s)
             trace, suffix = result.trace, ".pdb"
-        record = {key: flat(value) for key, value in (result.record() | of_starts).items()} | origin(job)
+        record = {key: flat(value) for key, value in (result.record() | further).items()} | origin(job)
         record |= {"method": method, "seconds_preparation": preparation}
         if result.is_usable:
             suffix = common_suffix([result.structure]) if suffix == ".pdb" else suffix
@@ -116,6 +124,13 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         elif reference and reference[0] is structure:
             record["ca_rmsd_to_openmm_angstrom"] = ca_rmsd(structure, result.x, reference[1])
         yield Row(record, thin_trace(trace)), structure, result.structure if result.is_usable else None
+
+
+def _title(setup: Setup) -> str:
+    """Title of the last added pose, empty if it has none or its file cannot be read."""
+    with suppress(ProtochainError, OSError):
+        return title_of(setup.poses[-1]) if setup.poses else ""
+    return ""
 
 
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:

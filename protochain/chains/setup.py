@@ -176,7 +176,7 @@ class Setup(Settings):
         "batch accept several poses, in a folder or a file, and add each separately. Repeat for more.",
         checks.ligands,
         list[str],
-        option="--ligands --ligand",
+        option="--ligands --ligand --ligand-poses",
         metavar="NAME=SDF|MOL2|SMILES",
         type="tuple of (str, str)",
         doc="Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.",

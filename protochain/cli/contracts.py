@@ -24,6 +24,7 @@ from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.verdict import Status
 from protochain.relaxation import mutations as of_mutations
 from protochain.relaxation import record as of_relaxing
+from protochain.relaxation.poses import COLUMNS as OF_POSE
 from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column, Kind, kind_of, number
 from protochain.results.schema import OTHERS, Contract, cell
@@ -79,6 +80,7 @@ _KNOWN: Kinds = {
         for key, measure in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES, **DOCKING}.items()
     },
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
+    **OF_POSE,
 }
 _OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
 _KNOWN |= zip(LIGAND_ENDS, _OF_LIGANDS, strict=False)  # The names of its last columns have units.
@@ -156,7 +158,8 @@ def _of_batch(columns: Iterable[str], optional_columns: Iterable[str]) -> Kinds:
 
 
 _BOTH = [name for name in table.COLUMNS if name in table.RELAXED_COLUMNS]
-_ALL = dict.fromkeys((*table.COLUMNS, *table.RELAXED_COLUMNS, *table.OF_INTERFACE))
+_FURTHER = (*table.OF_INTERFACE, *table.OF_POSES)
+_ALL = dict.fromkeys((*table.COLUMNS, *table.RELAXED_COLUMNS, *_FURTHER))
 _EITHER = [name for name in _ALL if name not in _BOTH]
 
 _QUALITY = {
@@ -294,6 +297,7 @@ _FACTS = {
 _MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
 _MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
 _SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
+_POSE = {name.removeprefix("pose_"): kind for name, kind in OF_POSE.items()}
 _RESTRAINTS = {"--restraint-csv": (_cells(get_type_hints(RestraintValue)),)}
 CONTRACTS: Mapping[str, Contract] = {
     "minimise": Contract(
@@ -302,7 +306,8 @@ CONTRACTS: Mapping[str, Contract] = {
     "relax": Contract(
         (_RELAXED, _FRAMES_TOLD, _BATCH),
         {
-            "relaxed.csv": (_of_batch(table.RELAXED_COLUMNS, table.OF_INTERFACE),), **_BATCH_TABLES,
+            "relaxed.csv": (_of_batch(table.RELAXED_COLUMNS, _FURTHER),), **_BATCH_TABLES,
+            "poses.csv": (_cells(_row("structure status message"), _POSE),),
             "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),), **_RESTRAINTS,
         },
         (*_names(table.files_of(Path(), "relaxed")), *_BATCH_FILES), _BATCH_MORE,

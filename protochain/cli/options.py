@@ -55,6 +55,9 @@ Report = Annotated[Path | None, typer.Option(help="Page with tables, plots and 3
 Timings = Annotated[
     bool, typer.Option("--timings", help="Print seconds by part, and the serial share of the loop.")
 ]
+ProteinOut = Annotated[
+    Path | None, typer.Option(help="PDB or mmCIF of the proteins without the poses, a model for each pose.")
+]
 RestraintCsv = Annotated[
     Path | None, typer.Option(help="CSV with value, bound and violation of each restraint at the end.")
 ]
@@ -394,7 +397,9 @@ def check_outputs(
         tell(Kind.CHANGE, f"{existing[0]}{further}: will be replaced")
 
 
-def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
+def check_names(
+    output: Path, report: Path | None, ligands: Path | None, as_json: bool, proteins: Path | None = None
+) -> None:
     """Raise for outputs with a wrong or unknown suffix, and for two outputs on standard output."""
     from protochain.structure.ligand_files import check_ligand_file
     from protochain.structure.write import check_format
@@ -404,6 +409,8 @@ def check_names(output: Path, report: Path | None, ligands: Path | None, as_json
     elif as_json:
         raise ProtochainError("output -: structure and --json both go to standard output. Give a file")
     check_page(report)
+    if proteins:
+        check_format(proteins)
     if ligands:
         check_ligand_file(ligands)
 

@@ -55,6 +55,7 @@ def relax(
     manifest: options.Manifest = None,
     report: options.Report = None,
     ligand_out: options.LigandOut = None,
+    protein_out: options.ProteinOut = None,
     restraint_csv: options.RestraintCsv = None,
     workers: Workers = None,
     scheduler: options.Scheduler = None,
@@ -77,6 +78,8 @@ def relax(
     """
     setup = relaxing.setup(setup)
     options.check_restraint_csv(restraint_csv, relaxing.restraints)
+    if protein_out and not setup.poses:
+        raise ProtochainError(Argument("protein_out"), " requires --ligands POSES")
     several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_requested(trajectory, frames):
         if several:
@@ -86,13 +89,14 @@ def relax(
             output = _output_of_frames(trajectory or of_frames.single_structure(inputs or []))
         of_frames.run_if_requested(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
-            output.with_suffix(".csv"), excluded="scheduler ligand_out restraint_csv posebusters timings",
-            output=output, report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
+            output.with_suffix(".csv"), output=output,
+            excluded="scheduler ligand_out protein_out restraint_csv posebusters timings",
+            report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
     if inputs and len(inputs) == 1 and options.is_one_file(inputs[0]) and not (several or scheduler):
         options.refuse(context, "workers time_limit resume", f"requires several inputs, not {inputs[0]}")
-        shown = report, ligand_out, restraint_csv, timings, as_json
+        shown = report, ligand_out, protein_out, restraint_csv, timings, as_json
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     options.refuse(context, "report", "applies to one structure. Several have report.html in their folder")
     options.refuse(context, "timings restraint_csv", "applies to one structure only")
@@ -100,12 +104,21 @@ def relax(
         raise ProtochainError(Argument("ligand_out"), " of several structures requires --ligands POSES")
     from protochain.batches.cluster import Processes
 
-    extra_outputs = [ligand_out] if ligand_out else []
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
         _several(
-            inputs or [], output, manifest, relaxing, setup, extra_outputs, processes, as_json, resume, force
+            inputs or [],
+            output,
+            manifest,
+            relaxing,
+            setup,
+            ligand_out,
+            protein_out,
+            processes,
+            as_json,
+            resume,
+            force,
         )
 
 
@@ -132,7 +145,8 @@ def _output_of_frames(frames: Path) -> Path:
 
 def _one(
     source: Path, output: Path | None, relaxing: RelaxSettings, setup: Setup, report: Path | None,
-    ligand_out: Path | None, restraint_csv: Path | None, timings: bool, as_json: bool, force: bool,
+    ligand_out: Path | None, protein_out: Path | None, restraint_csv: Path | None, timings: bool,
+    as_json: bool, force: bool,
 ) -> int:  # fmt: skip
     """Relax one file. Return the exit status."""
     from protochain.cli.relaxing import print_plan, print_relaxed, progress
@@ -148,9 +162,14 @@ def _one(
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)
-    options.check_names(output, report, ligand_out, as_json)
-    new = [] if force else [ligand_out, restraint_csv]
-    options.check_outputs([source], [output, report, ligand_out, restraint_csv], setup, force, new=new)
+    options.check_names(output, report, ligand_out, as_json, protein_out)
+    if protein_out and str(output) == options.STANDARD_OUTPUT:
+        raise ProtochainError(
+            Argument("protein_out"), " requires a file for the complex, not standard output"
+        )
+    extras = [ligand_out, protein_out, restraint_csv]
+    new = [] if force else extras
+    options.check_outputs([source], [output, report, *extras], setup, force, new=new)
     with measure_run(from_start=True):
         began = perf_counter()
         structure = setup.load(source)
@@ -170,15 +189,24 @@ def _one(
             record = options.write_outputs(
                 result, origin, write, setup, _write_page, report, ligand_out, restraints=restraint_csv
             )
+    if protein_out:
+        posed = [row for row in record["ligands"] if row["source"] in setup.poses]
+        _save_proteins([(output, [f"{row['chain']}/{row['residue']}" for row in posed])], protein_out)
     if as_json:
         options.print_json(record)
     else:
         with options.redirect_messages(output):
             print_relaxed(result, record)
-            options.print_files(restraint_csv)
+            options.print_files(protein_out, restraint_csv)
             if timings:
                 print_timings(record)
     return options.UNCONVERGED if "not_written" in record else options.exit_status([record["status"]])
+
+
+def _save_proteins(complexes: "list[tuple[Path, list[str]]]", path: Path) -> None:
+    from protochain.structure.write import save_proteins
+
+    save_proteins(complexes, path)
 
 
 def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> None:
@@ -202,9 +230,10 @@ def _report_trajectories(inputs: list[str]) -> None:
 
 def _several(
     inputs: list[str], output: Path | None, manifest: Path | None, relaxing: RelaxSettings, setup: Setup,
-    extras: list[Path], processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
+    ligand_out: Path | None, protein_out: Path | None, processes: dict[str, Any], as_json: bool, resume: bool,
+    force: bool,
 ) -> None:  # fmt: skip
-    """Relax many files into a folder, write their poses to one further file, and exit with the status."""
+    """Relax many files into a folder, write poses and proteins to a file each, and exit with the status."""
     from protochain.batches.batch_structures import relax_files
     from protochain.batches.naming import poses_name
     from protochain.batches.table import RELAXED, replaceable_files
@@ -213,12 +242,16 @@ def _several(
     from protochain.core.storage import write_text
     from protochain.structure.formats.files import format_of
     from protochain.structure.ligand_files import check_ligand_file
+    from protochain.structure.write import check_format
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or format_of(folder):
         raise ProtochainError(f"{folder}: several structures require an output folder")
-    for path in extras:
-        check_ligand_file(path)
+    if ligand_out:
+        check_ligand_file(ligand_out)
+    if protein_out:
+        check_format(protein_out)
+    extras = [ligand_out, protein_out]
     files = replaceable_files(folder, RELAXED, resume, force)
     options.check_outputs([manifest], [*files, *extras], setup, new=[] if resume or force else extras)
     _report_trajectories(inputs)
@@ -227,9 +260,14 @@ def _several(
             inputs, folder, relaxing, setup, manifest=manifest, resume=resume, force=force, watch=watch,
             **processes,
         )  # fmt: skip
-    for path in extras:
-        names = result.table.dropna(subset="output")["structure"]
-        write_text(path, "".join((folder / poses_name(name)).read_text() for name in names))
+    done = result.table.dropna(subset="output")
+    if ligand_out:
+        text = "".join((folder / poses_name(name)).read_text() for name in done["structure"])
+        write_text(ligand_out, text)
+    if protein_out and len(done):
+        rows = done[["output", "pose_chain", "pose_residue"]].itertuples(index=False)
+        complexes = [(folder / file, [f"{chain}/{number}"]) for file, chain, number in rows]
+        _save_proteins(complexes, protein_out)
 
     def show() -> None:
         print_folder(result.table, folder)

@@ -142,6 +142,16 @@ def print_folder(table: "pd.DataFrame", folder: Path) -> None:
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
     tell(Kind.VERDICT, f"{plural(len(table), 'structure')}: {counts}")
+    if "pose_valid" in table:
+        n_valid, tested = (
+            int(table["pose_valid"].fillna(value=False).sum()),
+            table["pose_sanitization"].notna().any(),
+        )
+        tests = "PoseBusters' tests pass" if tested else "no clashes, stereo as in their file"
+        tell(
+            Kind.VERDICT,
+            f"{n_valid} of {plural(len(table), 'pose')} {'is' if n_valid == 1 else 'are'} valid: {tests}",
+        )
     if len(usable):
         tell(
             Kind.RESULT,
@@ -158,10 +168,12 @@ def print_folder(table: "pd.DataFrame", folder: Path) -> None:
         ending = f" and {len(overlapping) - _SHOWN} more, in the table" if len(overlapping) > _SHOWN else ""
         text = "structures overlapped with hetero molecules"
         tell(Kind.RESULT, f"{len(overlapping)} of {len(table)} {text}: {', '.join(names)}{ending}")
-    unconverged = table[table["status"] != "converged"]
+    unconverged = table[~table["status"].isin(("converged", "measured"))]
     for row in unconverged.head(_SHOWN).itertuples():
         tell(Kind.RESULT, f"{row.structure}: {row.message}")
     if len(unconverged) > _SHOWN:
         tell(Kind.RESULT, f"and {len(unconverged) - _SHOWN} more, in the table")
     print_lost(table.to_dict("records"))
-    tell(Kind.WRITTEN, f"written: {folder / 'relaxed.csv'}, the structures, and report.html in one folder")
+    poses = ", poses.csv" * ("pose_valid" in table)
+    written = f"{folder / 'relaxed.csv'}{poses}, the structures, and report.html in one folder"
+    tell(Kind.WRITTEN, f"written: {written}")

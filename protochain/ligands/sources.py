@@ -148,10 +148,14 @@ def as_filed(source: str) -> tuple[Molecule, str, str] | None:
     if path.suffix.lower() not in MOLECULE_SUFFIXES or not path.exists():
         return None
     text = _record(path, number)
-    if path.suffix.lower() == ".mol2":
-        return read(source), "".join(text.removeprefix(_MOL2).split("\n")[1:2]).strip(), ""
     fields = text.partition("M  END")[2].partition("\n")[2].strip("\n")
-    return read(source), text.split("\n")[0].strip(), f"{fields}\n\n" if fields else ""
+    return read(source), title_of(source), f"{fields}\n\n" if fields else ""
+
+
+def title_of(source: str) -> str:
+    """Title of a molecule of a file, which need not be readable otherwise."""
+    path, number = file_and_record(source)
+    return _record(path, number).removeprefix(f"{_MOL2}\n").split("\n")[0].strip()
 
 
 def _record(path: Path, number: int) -> str:

@@ -47,6 +47,7 @@ class Status(StrEnum):
     ISOMERISED = "isomerised"
     VIOLATIONS = "violations"
     SADDLE = "saddle"
+    MEASURED = "measured"
 
 
 OTHER_ISOMER = (Status.INVERTED, Status.ISOMERISED)

@@ -74,6 +74,9 @@ class RelaxSettings(Settings):
         False, "Run PoseBusters' tests on ligands before and after, in seconds for each.", flag, bool
     )
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
+    score_only: bool = setting(
+        False, "Measure poses, or the structure, as they are, without moving an atom.", flag, bool
+    )
     repack_region: str = setting(
         "", "First repack all side chains of a selection: 'interface A B', 'chainID A'.", text,
         doc="Residues whose side chains are first repacked together, with or without clashes, in the "
@@ -120,6 +123,9 @@ class RelaxSettings(Settings):
                 Argument("protocol"),
                 f" {self.protocol} has its own; give one of them",
             )
+
+        if self.score_only and (self.repack or self.repack_region):
+            raise ProtochainError(Argument("score_only"), ": no atom moves; remove ", Argument("repack"))
 
     @property
     def strength(self) -> Preset:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from time import perf_counter
 from typing import Any
 
@@ -129,7 +129,8 @@ def relax_structure(
     relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, mobile, user_restraints)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
-        ends = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
+        rounds = partial(relaxer.rounds, first.positions, excluded, settings.max_outer_iterations)
+        ends = [relaxer.unmoved()] if settings.score_only else rounds()
     seconds = perf_counter() - trace.began
     # The best round is judged in double precision, with the residual of its last stage.
     end = best_round(ends)
@@ -203,7 +204,7 @@ def _unrestrained_residues(structure: Structure, settings: RelaxSettings) -> NDA
 
 
 def _held_by(mobile: NDArray[np.bool_], settings: RelaxSettings) -> str:
-    if not mobile.all():
+    if settings.score_only or not mobile.all():
         return "atoms that stand still"
     return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
 
@@ -231,6 +232,8 @@ def _verdict(
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {energy.judge}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {abridge(fixed)}" if fixed else ""
+    if settings.score_only:
+        return Status.MEASURED, f"measured without a step: {measured}"
     problems = end.problems
     broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"

@@ -126,6 +126,8 @@ class Relaxation(RunEnds):
     @cached_property
     def ligands_end(self) -> tuple[LigandFound, ...]:
         """Findings of each ligand at the end."""
+        if self.settings.score_only:
+            return self.ligands_start
         return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
 
     @property

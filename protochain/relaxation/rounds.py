@@ -124,6 +124,14 @@ class Relaxer:
                 return ends
             share = weaker
 
+    def unmoved(self) -> RoundEnd:
+        """The input as the end of a round without steps or springs."""
+        structure = self.structure
+        problems = Problems(structure, structure.positions)
+        entry = Round(0, len(problems.violations.residues), len(problems.overlaps), 0, 0, 0.0)
+        springs = self._springs(np.zeros(structure.n_residues), 0.0, 0.0)
+        return RoundEnd(problems, Stop.TOLERANCE, springs, np.empty(0, dtype=np.int64), entry)
+
     def _round(
         self, x: Floats, share: Floats, strengths: Sequence[tuple[float, float]], before: int, threaded: bool
     ) -> RoundEnd:

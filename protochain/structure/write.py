@@ -103,6 +103,31 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     write_atomically(path, lambda target: target.write_bytes(packed))
 
 
+def save_proteins(complexes: Iterable[tuple[Path, Sequence[str]]], path: Path) -> None:
+    """Write files without some of their residues, named as ``B/1``, as models. Equal models are one."""
+    models = gemmi.Structure()
+    for source, residues in complexes:
+        structure = gemmi.read_structure(str(source))
+        for residue in residues:
+            gemmi.Selection(f"//{residue}").remove_selected(structure)
+        structure.remove_empty_chains()
+        x = [atom.atom.pos.tolist() for atom in structure[0].all()]
+        if not len(models):
+            models = structure
+        elif x != [atom.atom.pos.tolist() for atom in models[-1].all()]:
+            models.add_model(structure[0])
+    models.renumber_models()
+    models.setup_entities()
+    models.raw_remarks = []  # Of the first complex.
+    _, suffix, packing = split_name(path)
+    if SUFFIXES[suffix.lower()] == "PDB":
+        data = models.make_pdb_string(gemmi.PdbWriteOptions(cryst1_record=models.cell.is_crystal())).encode()
+    else:
+        data = models.make_mmcif_document().as_string().encode()
+    packed = PACKINGS[packing.lower()](data) if packing else data
+    write_atomically(path, lambda target: target.write_bytes(packed))
+
+
 def as_text(
     structure: Structure | Sequence[Structure],
     suffix: str,

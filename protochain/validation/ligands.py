@@ -32,6 +32,16 @@ LIGAND_COLUMNS = (
     "posebusters_passed", "posebusters_failed",
 )  # fmt: skip
 _NOT_TESTS = ("file", "molecule", "position")
+POSEBUSTERS = (
+    "mol_pred_loaded", "mol_cond_loaded", "sanitization", "inchi_convertible", "all_atoms_connected",
+    "no_radicals", "bond_lengths", "bond_angles", "internal_steric_clash", "aromatic_ring_flatness",
+    "non-aromatic_ring_non-flatness", "double_bond_flatness", "internal_energy",
+    "protein-ligand_maximum_distance", "minimum_distance_to_protein",
+    "minimum_distance_to_organic_cofactors", "minimum_distance_to_inorganic_cofactors",
+    "minimum_distance_to_waters", "volume_overlap_with_protein", "volume_overlap_with_organic_cofactors",
+    "volume_overlap_with_inorganic_cofactors", "volume_overlap_with_waters",
+)  # fmt: skip
+"""Tests of PoseBusters' configuration ``dock``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +86,11 @@ class LigandFound(Value):
         if self.posebusters is None:
             return None
         return tuple(name for name, passed in self.posebusters.items() if not passed)
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether PoseBusters' tests pass. If they were not run: no clashes, and the stereo of its source."""
+        return not (self.clashes or self.inverted if self.failed is None else self.failed)
 
     def record(self) -> dict[str, Any]:
         """Flat row: residue, source, and findings."""

@@ -76,7 +76,7 @@ PATHS = {
 VALUES = {
     "output": "other.pdb", "method": "newton", "angle": "0.001", "trace": "t.csv", "trajectory": "t.dcd",
     "report": "page.html", "ligand_out": "l.sdf", "checkpoint": "end.npz", "resume": "state.npz",
-    "restraint_csv": "rc.csv",
+    "restraint_csv": "rc.csv", "protein_out": "alone.pdb",
     "tolerance": "700", "restraints": "position A:2:CA 0", "max_rmsd": "0.5", "spread": "20",
     "manifest": "list.csv", "scheduler": "tcp://127.0.0.1:9", "frames": "0", "preset": "design",
     "protocol": "alphafold", "stiffness": "50", "exclude": "resid 2", "repack_region": "chainID A",
