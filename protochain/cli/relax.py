@@ -75,6 +75,8 @@ def relax(
     Several files, a folder, a pattern, a manifest, one file with several poses (--ligands POSES), or a run on
     a cluster write a folder with the table relaxed.csv. With --trajectory, or --frames of a file with models,
     every frame is relaxed into one trajectory and a table.
+
+    Poses: protochain relax receptor.pdb --ligand-poses poses.sdf --score-only -o scores
     """
     setup = relaxing.setup(setup)
     options.check_restraint_csv(restraint_csv, relaxing.restraints)

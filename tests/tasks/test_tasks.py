@@ -65,6 +65,8 @@ def made(tmp_path_factory):
     (folder / "empty.pdb").write_text("END\n")
     (folder / "r.txt").write_text("distance A:1:CA A:10:CA 0 30  # far\ndihedral phi@A:5 -70 -50 200\n")
     (folder / "noe.nef").write_text(NOES)
+    records = [(STRUCTURES / f"{name}.sdf").read_text() for name in ("1P2Y_NCT", "1MEH_MOA")]
+    (folder / "poses.sdf").write_text("".join([*records, "broken\n\n\n none\nM  END\n$$$$\n"]))
     (folder / "list.csv").write_text("path\n5awl.pdb\nala10.pdb\n")
     (folder / "seq.fasta").write_text(">A\nAGAVALASAK\n")
     return folder
