@@ -87,7 +87,7 @@ def replaceable_files(folder: Path, name: str, resume: bool, force: bool) -> lis
 
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
     """Files of a batch in its folder, except structures, pages and plots."""
-    names = (f"{name}.csv", f"{name}.parquet", _TRACES, POSES, "summary.json", "report.html", SETTINGS)
+    names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)
     return [folder / file_name for file_name in names]
 
 

@@ -1,7 +1,6 @@
 """One job of a batch: run all methods, yield rows and traces, and write files."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -14,14 +13,13 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
-from protochain.core.errors import ProtochainError
 from protochain.core.lazy_pandas import pd
 from protochain.core.storage import regular
-from protochain.ligands.sources import title_of
 from protochain.relaxation.poses import pose_record
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.structure.formats.confidences import copy_confidences
 from protochain.structure.formats.files import suffix_of
+from protochain.structure.ligand_files import title_of_last
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -75,7 +73,7 @@ class Task:
 
     def lost(self, finished_rows: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were unfinished when the process ended."""
-        title = _title(self.job.settings.setup)
+        title = title_of_last(self.job.settings.setup.poses)
         message = f"{title}: {message}" if title else message
         finished = {row.record["method"] for row in finished_rows}
         missing = [method for method in self.job.settings.methods if method not in finished]
@@ -124,13 +122,6 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         elif reference and reference[0] is structure:
             record["ca_rmsd_to_openmm_angstrom"] = ca_rmsd(structure, result.x, reference[1])
         yield Row(record, thin_trace(trace)), structure, result.structure if result.is_usable else None
-
-
-def _title(setup: Setup) -> str:
-    """Title of the last added pose, empty if it has none or its file cannot be read."""
-    with suppress(ProtochainError, OSError):
-        return title_of(setup.poses[-1]) if setup.poses else ""
-    return ""
 
 
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:

@@ -149,7 +149,7 @@ _BATCH: Kinds = {
 _BATCH_TABLES = {"traces.csv": (_cells(_row(table.TRACE_COLUMNS)),)}
 _BATCH_FILES = ("energy.png", "rmsd.png", "seconds.png")
 _STRUCTURE = r"\.(pdb|cif)(\.(gz|bz2|xz|zst))?$"
-_BATCH_MORE = (r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
+_BATCH_MORE = (r"^poses\.csv$", r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
 
 
 def _of_batch(columns: Iterable[str], optional_columns: Iterable[str]) -> Kinds:

@@ -6,8 +6,8 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.energies.decomposed import native_of
-from protochain.ligands.sources import title_of
 from protochain.results.columns import Kind
+from protochain.structure.ligand_files import title_of_last
 from protochain.validation.ligands import POSEBUSTERS
 
 if TYPE_CHECKING:
@@ -35,10 +35,10 @@ def pose_record(result: "Relaxation") -> dict[str, Any]:
     k = posed[-1]
     atoms, source = result.start.ligands[k].atoms, result.start.ligands[k].ligand.molecule.source
     ends = dict(zip(_ENDS, (result.ligands_start[k], result.ligands_end[k]), strict=True))
+    end = ends["end"]
     values: dict[str, Any] = {
-        "title": title_of(source), "chain": ends["end"].residue.chain, "residue": ends["end"].residue.number,
-        "valid": ends["end"].is_valid, "rmsd_angstrom": result.ligand_motion[k, 0],
-        **(ends["end"].posebusters or {}),
+        "title": title_of_last([source]), "chain": end.residue.chain, "residue": end.residue.number,
+        "valid": end.is_valid, "rmsd_angstrom": result.ligand_motion[k, 0], **(end.posebusters or {}),
     }  # fmt: skip
     for (when, ligand), x in zip(ends.items(), (result.start.positions, result.x), strict=True):
         values[f"interaction_energy_{when}_kj_mol"] = _interaction(result, atoms, x)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from protochain.core.optional_libraries import library
 from protochain.core.storage import write_text
 from protochain.ligands.matching import copy_names
 from protochain.ligands.molecule import Molecule, to_rdkit
-from protochain.ligands.sources import as_filed, records, text_of
+from protochain.ligands.sources import as_filed, records, text_of, title_of
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
 
@@ -204,6 +205,13 @@ def poses(path: Path) -> list[str]:
         return [pose for file in files for pose in poses(file)]
     n = 1 if file_and_record(path)[1] else len(records(text_of(path), path.suffix.lower()))
     return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
+
+
+def title_of_last(sources: Sequence[str]) -> str:
+    """Title of the last of some poses, empty without poses or if its file cannot be read."""
+    with suppress(StructureError):
+        return title_of(sources[-1]) if sources else ""
+    return ""
 
 
 def has_poses(source: str) -> bool:
