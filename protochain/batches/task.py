@@ -78,7 +78,7 @@ class Task:
         finished = {row.record["method"] for row in finished_rows}
         missing = [method for method in self.job.settings.methods if method not in finished]
         rows = [failure(self.job, method, status, message, seconds) for method in missing]
-        return [replace(row, record=row.record | {"pose_title": title}) for row in rows]
+        return [replace(row, record=row.record | {"pose_title": title}) for row in rows] if title else rows
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
