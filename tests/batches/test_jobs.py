@@ -35,8 +35,8 @@ PLAIN = {
 OF_RELAX = {
     "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
     "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
-    "posebusters": False, "free_ligands": False, "score_only": False, "repack_region": "", "interface": "", "mirror": False,
-    "rebuild_side_chains": "", "sequence": "", "restraints": (),
+    "posebusters": False, "free_ligands": False, "score_only": False, "repack_region": "", "interface": "",
+    "mirror": False, "rebuild_side_chains": "", "sequence": "", "restraints": (),
 }  # fmt: skip
 """Those of ``relax`` alone."""
 
