@@ -15,28 +15,6 @@ _SMALL = 1e-2
 
 
 @kernel
-def triple(array: Floats, i: int, s: int) -> Vector:
-    """Vector of node i for the s-th amplitude."""
-    return array[i, s, 0], array[i, s, 1], array[i, s, 2]
-
-
-@kernel
-def six(columns: Floats, i: int, s: int) -> tuple[Vector, Vector]:
-    """Twist of node i for unit rate of its body's s-th amplitude, or the rate at which it changes."""
-    return (
-        (columns[i, s, 0], columns[i, s, 1], columns[i, s, 2]),
-        (columns[i, s, 3], columns[i, s, 4], columns[i, s, 5]),
-    )
-
-
-@kernel
-def put_six(first: Vector, second: Vector, columns: Floats, i: int, s: int) -> None:
-    """Write what :func:`six` reads."""
-    columns[i, s, 0], columns[i, s, 1], columns[i, s, 2] = first
-    columns[i, s, 3], columns[i, s, 4], columns[i, s, 5] = second
-
-
-@kernel
 def shortening_of(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first: int) -> Vector:
     """Sum of the shortening of shape s with each of n amounts."""
     x, y, z = 0.0, 0.0, 0.0
@@ -51,7 +29,7 @@ def shortening_of(shortening: Floats, i: int, s: int, n: int, amounts: Floats, f
 def along(columns: Floats, i: int, s: int, wrench: Floats) -> float:
     """Product of a column and the wrench of its node."""
     moment, force = algebra.pair(wrench, i)
-    angular, linear = six(columns, i, s)
+    angular, linear = algebra.pair(columns[i], s)
     return dot(angular, moment) + dot(linear, force)
 
 
@@ -107,7 +85,7 @@ def times(matrices: Floats, i: int, f: Floats, r: int, start: int) -> Vector:
 def spread(columns: Floats, arm: Vector, i: int, n: int, f: Floats) -> None:
     """Write the rows of [columns, X]^T for node i, an arm away from its body's origin."""
     for s in range(n):
-        angular, linear = six(columns, i, s)
+        angular, linear = algebra.pair(columns[i], s)
         algebra.put_pair(angular, linear, f, s)
     for m in range(3):
         unit = 1.0 * (m == 0), 1.0 * (m == 1), 1.0 * (m == 2)

@@ -12,7 +12,7 @@ from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat,
 from protochain.mechanics.multibody.rotations import tangent, turn_by
 from protochain.mechanics.multibody.tree import ARMATURE, SLIDE, TURN, Q, V
 from protochain.mechanisms.flexible import algebra as nodes
-from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, six, triple
+from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of its diagonal is rounding error."""
@@ -39,14 +39,14 @@ def put_frames(
             theta, x = ZERO, algebra.vector(place, i)
             for s in range(n_shapes):
                 eta = q[first + s]
-                theta = add(theta, scale(eta, triple(turns, i, s)))
+                theta = add(theta, scale(eta, algebra.vector(turns[i], s)))
                 short = nodes.shortening_of(shortening, i, s, n_shapes, q, first)
-                x = add(x, scale(eta, subtract(triple(moves, i, s), scale(0.5, short))))
+                x = add(x, scale(eta, subtract(algebra.vector(moves[i], s), scale(0.5, short))))
             for s in range(n_shapes):
                 short = nodes.shortening_of(shortening, i, s, n_shapes, q, first)
-                nodes.put_six(
-                    algebra.rotate(turn, tangent(theta, triple(turns, i, s))),
-                    algebra.rotate(turn, subtract(triple(moves, i, s), short)), columns, i, s,
+                algebra.put_pair(
+                    algebra.rotate(turn, tangent(theta, algebra.vector(turns[i], s))),
+                    algebra.rotate(turn, subtract(algebra.vector(moves[i], s), short)), columns[i], s,
                 )  # fmt: skip
             algebra.put(add(at, algebra.rotate(turn, x)), origin, i, 0)
             u = algebra.rotate(turn, turn_by(theta, (1.0, 0.0, 0.0)))
@@ -67,7 +67,7 @@ def put_twists(
         for i in range(frame, links[b + 1, NODE]):
             spin, moving = omega, add(u, cross(omega, algebra.lever(origin, i, frame)))
             for s in range(links[b + 1, SHAPE] - j):
-                angular, linear = six(columns, i, s)
+                angular, linear = algebra.pair(columns[i], s)
                 spin, moving = add(spin, scale(qd[j + s], angular)), add(moving, scale(qd[j + s], linear))
             algebra.put_pair(spin, moving, twists, i)
 
@@ -87,15 +87,15 @@ def put_changes(
         for i in range(frame, links[b + 1, NODE]):
             theta, rate = ZERO, ZERO
             for s in range(n_shapes):
-                theta = add(theta, scale(q[j + shift + s], triple(turns, i, s)))
-                rate = add(rate, scale(qd[j + s], triple(turns, i, s)))
+                theta = add(theta, scale(q[j + shift + s], algebra.vector(turns[i], s)))
+                rate = add(rate, scale(qd[j + s], algebra.vector(turns[i], s)))
             for s in range(n_shapes):
-                angular, linear = six(columns, i, s)
-                bent = nodes.tangent_rate(theta, rate, triple(turns, i, s))
+                angular, linear = algebra.pair(columns[i], s)
+                bent = nodes.tangent_rate(theta, rate, algebra.vector(turns[i], s))
                 short = nodes.shortening_of(shortening, i, s, n_shapes, qd, j)
-                nodes.put_six(
+                algebra.put_pair(
                     add(cross(omega, angular), algebra.rotate(turn, bent)),
-                    subtract(cross(omega, linear), algebra.rotate(turn, short)), changes, i, s,
+                    subtract(cross(omega, linear), algebra.rotate(turn, short)), changes[i], s,
                 )  # fmt: skip
 
 
@@ -123,8 +123,8 @@ def put_loads(
             arm = algebra.lever(origin, i, frame)
             quick, pulled = alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
             for s in range(n_shapes):
-                angular, linear = six(columns, i, s)
-                spin, slip = six(changes, i, s)
+                angular, linear = algebra.pair(columns[i], s)
+                spin, slip = algebra.pair(changes[i], s)
                 quick = add(quick, add(scale(qdd[j + s], angular), scale(qd[j + s], spin)))
                 # The change of a column has one of the two terms of Coriolis.
                 slip = add(slip, cross(omega, linear))
@@ -170,7 +170,7 @@ def put_gradient(
         for s in range(links[b + 1, SHAPE] - j):
             gradient[j + s] = 0.0
             for i in range(frame, links[b + 1, NODE]):
-                angular, _ = six(columns, i, s)
+                angular, _ = algebra.pair(columns[i], s)
                 _, moving = algebra.pair(twists, i)
                 _, force = algebra.pair(felt, i)
                 gradient[j + s] += nodes.along(changes, i, s, felt) - dot(angular, cross(moving, force))
@@ -319,7 +319,7 @@ def _outward(
         for i in range(frame, links[b + 1, NODE]):
             spin, moving = omega, add(u, cross(omega, algebra.lever(origin, i, frame)))
             for s in range(n_shapes):
-                angular, linear = six(columns, i, s)
+                angular, linear = algebra.pair(columns[i], s)
                 spin, moving = add(spin, scale(y[s], angular)), add(moving, scale(y[s], linear))
             algebra.put_pair(spin, moving, motion, i)
 
