@@ -3,7 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from protochain.chains.restraint import STIFFNESS, Restraint
 from protochain.core.errors import ProtochainError
@@ -11,51 +11,25 @@ from protochain.core.markup import excerpt
 
 Row = Mapping[str, str]
 """Values of a row of a table, by items in lower case. Missing values are absent."""
-
-
-class _Table(NamedTuple):
-    """Items of a table. Of several names of an item, the first with a value counts."""
-
-    category: str
-    kind: str
-    n_atoms: int
-    restraint: str
-    atom: tuple[str, str, str, str]  # Chain, number of the residue, residue, atom.
-    numbers: tuple[str, ...]  # In the order of ``_Numbers``.
-
-
-class _Numbers(NamedTuple):
-    weight: float | None
-    target: float | None
-    uncertainty: float | None
-    lower: float | None
-    upper: float | None
-    lower_linear: float | None
-    upper_linear: float | None
-
-
-_NEF = "chain_code", "sequence_code", "residue_name", "atom_name"
-_STAR = (
-    "pdb_strand_id auth_asym_id", "pdb_residue_no auth_seq_id comp_index_id seq_id", "comp_id", "atom_id",
+Numbers = tuple[float | None, ...]
+"""Values of ``_NUMBERS``."""
+_TABLES = {
+    "_nef_distance_restraint.": 2, "_gen_dist_constraint.": 2, "_nef_dihedral_restraint.": 4,
+    "_torsion_angle_constraint.": 4,
+}  # fmt: skip
+"""Categories, and the number of atoms of their restraints."""
+_ATOM = (
+    "chain_code pdb_strand_id auth_asym_id", "sequence_code pdb_residue_no auth_seq_id comp_index_id seq_id",
+    "residue_name comp_id", "atom_name atom_id",
 )  # fmt: skip
-_NEF_NUMBERS = (
-    "weight", "target_value", "target_value_uncertainty", "lower_limit", "upper_limit", "lower_linear_limit",
-    "upper_linear_limit",
+_NUMBERS = (
+    "weight", "target_value target_val distance_val angle_target_val",
+    "target_value_uncertainty target_val_uncertainty angle_target_val_err",
+    "lower_limit distance_lower_bound_val angle_lower_bound_val",
+    "upper_limit distance_upper_bound_val angle_upper_bound_val",
+    "lower_linear_limit angle_lower_linear_limit", "upper_linear_limit angle_upper_linear_limit",
 )  # fmt: skip
-_TABLES = (
-    _Table("_nef_distance_restraint.", "distance", 2, "restraint_id", _NEF, _NEF_NUMBERS),
-    _Table("_nef_dihedral_restraint.", "dihedral", 4, "restraint_id", _NEF, _NEF_NUMBERS),
-    _Table(
-        "_gen_dist_constraint.", "distance", 2, "id", _STAR,
-        ("weight", "target_val distance_val", "target_val_uncertainty", "distance_lower_bound_val",
-         "distance_upper_bound_val", "lower_linear_limit", "upper_linear_limit"),
-    ),
-    _Table(
-        "_torsion_angle_constraint.", "dihedral", 4, "id", _STAR,
-        ("weight", "angle_target_val", "angle_target_val_err", "angle_lower_bound_val",
-         "angle_upper_bound_val", "angle_lower_linear_limit", "angle_upper_linear_limit"),
-    ),
-)  # fmt: skip
+"""Items of an atom and of the numbers, by their names in all tables. The first with a value counts."""
 
 
 def restraints_of_star(text: str, file: str) -> Iterator[Restraint]:
@@ -76,15 +50,17 @@ def restraints_of_star(text: str, file: str) -> Iterator[Restraint]:
     frames = [*(item.frame for item in block if item.frame is not None), block]
     chains = _chains(frames)
     for frame in frames:
-        for table in _TABLES:
+        for category, n_atoms in _TABLES.items():
             rows = defaultdict[str, list[Row]](list)
-            for row in _rows(frame, table.category):
-                rows[row.get(table.restraint, ".")].append(row)
-            potential = frame.find_value(f"{table.category[:-1]}_list.potential_type") or ""
+            for row in _rows(frame, category):
+                rows[_value(row, "restraint_id id")].append(row)
+            potential = (frame.find_value(f"{category[:-1]}_list.potential_type") or "").strip("'\"")
             for name, alternatives in rows.items():
-                label = f"{file}: restraint {name}"
                 try:
-                    yield from _restraints(table, alternatives, potential.strip("'\""), label, chains)
+                    for places, numbers in _alternatives(alternatives, n_atoms, chains):
+                        yield _restraint(
+                            n_atoms == 4, places, numbers, potential, f"{file}: restraint {name}"
+                        )
                 except ProtochainError as error:
                     raise ProtochainError(f"restraint {name} of {frame.name}: ", *error.parts) from None
 
@@ -113,67 +89,62 @@ def _value(row: Row, names: str, ending: str = "") -> str:
     return next((row[item] for name in names.split() if (item := f"{name}{ending}") in row), "")
 
 
-def _restraints(
-    table: _Table, rows: Sequence[Row], potential: str, label: str, chains: Mapping[str, str]
-) -> Iterator[Restraint]:
-    """Restraints of the rows of one restraint: one, or of rows joined by and, several."""
-    # NEF: a row without weight does not restrain.
-    rows = [row for row in rows if _numbers(table, row).weight != 0.0]
-    if not rows:
-        return
+def _alternatives(
+    rows: Sequence[Row], n_atoms: int, chains: Mapping[str, str]
+) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+    """Places and numbers of the rows of one restraint: of all, or of rows joined by and, of each."""
+    # NEF: a row of weight 0 does not restrain.
+    rows = [row for row in rows if _numbers(row)[0] != 0.0]
     members = {_value(row, "restraint_combination_id combination_id") for row in rows}
     logic = {row.get("member_logic_code", "OR").upper() for row in rows}
     is_joined = len(rows) > 1 and (members != {""} or logic == {"AND"})
-    if len(members) > 1 or len(logic) > 1 or (table.n_atoms == 4 and len(rows) > 1 and not is_joined):
+    if len(members) > 1 or len(logic) > 1 or (n_atoms == 4 and len(rows) > 1 and not is_joined):
         raise ProtochainError("alternatives of several coordinates are not implemented; remove its rows")
-    for group in [[row] for row in rows] if is_joined else [rows]:
-        bounds = {_numbers(table, row) for row in group}
-        if len(bounds) > 1:
+    for group in [[row] for row in rows] if is_joined else [rows] * bool(rows):
+        if len(bounds := {_numbers(row) for row in group}) > 1:
             raise ProtochainError("its rows have different bounds or weights; give them the same")
-        places = dict.fromkeys(
-            tuple(_place(table, row, k, chains) for k in range(1, table.n_atoms + 1)) for row in group
-        )
-        yield _restraint(table, sum(places, ()), bounds.pop(), potential, label)
+        places = dict.fromkeys(tuple(_place(row, k, chains) for k in range(1, n_atoms + 1)) for row in group)
+        yield sum(places, ()), bounds.pop()
 
 
-def _numbers(table: _Table, row: Row) -> _Numbers:
-    texts = {names: _value(row, names) for names in table.numbers}
+def _numbers(row: Row) -> Numbers:
+    texts = [_value(row, names) for names in _NUMBERS]
     try:
-        return _Numbers(*(float(text) if text else None for text in texts.values()))
+        return tuple(float(text) if text else None for text in texts)
     except ValueError:
-        raise ProtochainError(f"{excerpt(' '.join(texts.values()))} are not numbers; correct them") from None
+        raise ProtochainError(f"{excerpt(' '.join(texts))} are not numbers; correct them") from None
 
 
 def _restraint(
-    table: _Table, places: tuple[str, ...], numbers: _Numbers, potential: str, label: str
+    turns: bool, places: tuple[str, ...], numbers: Numbers, potential: str, label: str
 ) -> Restraint:
     """Restraint of a potential type of NEF, or of the stated bounds if the type is another word."""
     if potential.startswith("log"):
         raise ProtochainError(f"the potential {potential} is not implemented; give square-well-parabolic")
-    lower = None if potential.startswith("upper-bound") else numbers.lower
-    upper = None if potential.startswith("lower-bound") else numbers.upper
-    if numbers.target is not None and (potential == "parabolic" or lower is upper is None):
-        spread = 0.0 if potential == "parabolic" else numbers.uncertainty or 0.0
-        lower, upper = numbers.target - spread, numbers.target + spread
-    stiffness = STIFFNESS * (1.0 if numbers.weight is None else numbers.weight)
-    is_dihedral = table.kind == "dihedral"
-    if (lower is None and upper is None) or (is_dihedral and None in (lower, upper)):
+    weight, target, uncertainty, lower, upper, *ends = numbers
+    lower = None if potential.startswith("upper-bound") else lower
+    upper = None if potential.startswith("lower-bound") else upper
+    if target is not None and (potential == "parabolic" or lower is upper is None):
+        spread = 0.0 if potential == "parabolic" else uncertainty or 0.0
+        lower, upper = target - spread, target + spread
+    if lower is upper is None or (turns and None in (lower, upper)):
         raise ProtochainError("has no bounds; give its lower and upper limit, or its target value")
-    sides = (stiffness, stiffness if upper is not None else 0.0)
-    low, high = (lower if lower is not None else 0.0), (upper if upper is not None else lower)
-    assert high is not None
+    stiffness = STIFFNESS * (1.0 if weight is None else weight)
+    sides = (stiffness, 0.0 if upper is None else stiffness)
+    low = lower or 0.0
+    high = low if upper is None else upper
     # A dihedral between 170 and -170 degrees is between 170 and 190.
-    high += 360.0 * (is_dihedral and high < low)
+    high += 360.0 * (turns and high < low)
     is_linear = not potential.endswith("parabolic")
-    lengths = (numbers.lower_linear, low, -1.0), (numbers.upper_linear, high, 1.0)
+    lengths = zip(ends, (low, high), (-1.0, 1.0), strict=True)
     below, above = (0.0 if end is None else sign * (end - at) * is_linear for end, at, sign in lengths)
-    linear = (below % 360.0, above % 360.0) if is_dihedral else (max(below, 0.0), max(above, 0.0))
-    return Restraint(table.kind, places, low, high, sides, linear, label=label)
+    linear = (below % 360.0, above % 360.0) if turns else (max(below, 0.0), max(above, 0.0))
+    return Restraint("dihedral" if turns else "distance", places, low, high, sides, linear, label=label)
 
 
-def _place(table: _Table, row: Row, k: int, chains: Mapping[str, str]) -> str:
+def _place(row: Row, k: int, chains: Mapping[str, str]) -> str:
     """Selection of the k-th atom of a row, or of the set of atoms that its name means."""
-    chain, number, residue, name = (_value(row, names, f"_{k}") for names in table.atom)
+    chain, number, residue, name = (_value(row, names, f"_{k}") for names in _ATOM)
     if not (number and name):
         raise ProtochainError(f"its atom {k} has no residue or name; add them, or remove the restraint")
     molecule = row.get(f"entity_assembly_id_{k}", "")

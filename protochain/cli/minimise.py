@@ -64,7 +64,10 @@ def minimise(
     starting: StartSettings,
     setup: Setup,
 ) -> None:
-    """Minimise the energy of one structure."""
+    """Minimise the energy of one structure.
+
+    With NOEs: protochain minimise model.pdb --restraints noe.nef --restraint-csv noe.csv
+    """
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.restraints import Hold

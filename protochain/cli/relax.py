@@ -158,6 +158,7 @@ def _one(
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.formats.files import suffix_of
+    from protochain.structure.write import save_proteins
 
     if str(source) != "-" and not source.exists():
         raise ProtochainError(f"{source}: not found; check the name")
@@ -193,7 +194,7 @@ def _one(
             )
     if protein_out:
         posed = [row for row in record["ligands"] if row["source"] in setup.poses]
-        _save_proteins([(output, [f"{row['chain']}/{row['residue']}" for row in posed])], protein_out)
+        save_proteins([(output, [f"{row['chain']}/{row['residue']}" for row in posed])], protein_out)
     if as_json:
         options.print_json(record)
     else:
@@ -203,12 +204,6 @@ def _one(
             if timings:
                 print_timings(record)
     return options.UNCONVERGED if "not_written" in record else options.exit_status([record["status"]])
-
-
-def _save_proteins(complexes: "list[tuple[Path, list[str]]]", path: Path) -> None:
-    from protochain.structure.write import save_proteins
-
-    save_proteins(complexes, path)
 
 
 def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> None:
@@ -244,7 +239,7 @@ def _several(
     from protochain.core.storage import write_text
     from protochain.structure.formats.files import format_of
     from protochain.structure.ligand_files import check_ligand_file
-    from protochain.structure.write import check_format
+    from protochain.structure.write import check_format, save_proteins
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or format_of(folder):
@@ -268,8 +263,8 @@ def _several(
         write_text(ligand_out, text)
     if protein_out and len(done):
         rows = done[["output", "pose_chain", "pose_residue"]].itertuples(index=False)
-        complexes = [(folder / file, [f"{chain}/{number}"]) for file, chain, number in rows]
-        _save_proteins(complexes, protein_out)
+        complexes = ((folder / file, [f"{chain}/{number}"]) for file, chain, number in rows)
+        save_proteins(complexes, protein_out)
 
     def show() -> None:
         print_folder(result.table, folder)

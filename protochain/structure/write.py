@@ -98,9 +98,7 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     for model in models:
         check_fits(model, path)
     _, suffix, packing = split_name(path)
-    data = as_text(models, suffix, remarks, hydrogens=hydrogens).encode()
-    packed = PACKINGS[packing.lower()](data) if packing else data
-    write_atomically(path, lambda target: target.write_bytes(packed))
+    _write_packed(as_text(models, suffix, remarks, hydrogens=hydrogens), packing, path)
 
 
 def save_proteins(complexes: Iterable[tuple[Path, Sequence[str]]], path: Path) -> None:
@@ -120,12 +118,15 @@ def save_proteins(complexes: Iterable[tuple[Path, Sequence[str]]], path: Path) -
     models.setup_entities()
     models.raw_remarks = []  # Of the first complex.
     _, suffix, packing = split_name(path)
-    if SUFFIXES[suffix.lower()] == "PDB":
-        data = models.make_pdb_string(gemmi.PdbWriteOptions(cryst1_record=models.cell.is_crystal())).encode()
-    else:
-        data = models.make_mmcif_document().as_string().encode()
-    packed = PACKINGS[packing.lower()](data) if packing else data
-    write_atomically(path, lambda target: target.write_bytes(packed))
+    options = gemmi.PdbWriteOptions(cryst1_record=models.cell.is_crystal())
+    is_pdb = SUFFIXES[suffix.lower()] == "PDB"
+    text = models.make_pdb_string(options) if is_pdb else models.make_mmcif_document().as_string()
+    _write_packed(text, packing, path)
+
+
+def _write_packed(text: str, packing: str, path: Path) -> None:
+    data = PACKINGS[packing.lower()](text.encode()) if packing else text.encode()
+    write_atomically(path, lambda target: target.write_bytes(data))
 
 
 def as_text(
