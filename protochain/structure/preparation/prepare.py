@@ -36,7 +36,6 @@ from protochain.structure.preparation import (
     model_choice,
     periodic,
     protonate,
-    pseudo_atoms,
     sites,
     terminal_caps,
 )
@@ -49,7 +48,7 @@ Pass = Callable[[Draft], Iterable[Repair | Omission]]
 READING: tuple[Pass, ...] = (
     model_choice.build_assembly,  # The requested assembly, instead of the molecules as filed.
     model_choice.choose_model,
-    pseudo_atoms.remove_pseudo_atoms,
+    model_choice.remove_pseudo_atoms,
     periodic.make_whole,  # Molecules that a periodic box cuts.
     model_choice.correct_atoms,  # Occupancies, deuterium, elements.
     chain_passes.read_bonds,  # Bonds that the file states.
