@@ -228,7 +228,7 @@ def energy(
         )
     if system is not None and salt:
         raise ForceFieldError(
-            Argument("salt", salt), " is of a named solvent; build the System with implicitSolventKappa"
+            Argument("salt"), " is of a named solvent; build the System with implicitSolventKappa"
         )
     is_free = accuracy == "auto" and cutoff == "auto"
     # No tree sums pairs that salt screens.
@@ -339,7 +339,7 @@ def build_system(
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
     if salt and solvent == "vacuum":
         models = ", ".join(SOLVENTS[1:])
-        raise ForceFieldError(Argument("salt", salt), f" needs a solvent, not vacuum; choose from {models}")
+        raise ForceFieldError(Argument("salt"), f" {salt:g} needs a solvent model; choose from {models}")
     pairs: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if cutoff is not None:
         pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}

@@ -35,7 +35,7 @@ def run():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"solvent": "vacuum", "salt": 0.15}, "salt=0.15 needs a solvent, not vacuum; choose from hct, obc1"),
+        ({"solvent": "vacuum", "salt": 0.15}, "salt 0.15 needs a solvent model; choose from hct, obc1"),
         ({"salt": -0.1}, "salt"),
         ({"salt": float("nan")}, "salt"),
         ({"salt": float("inf")}, "salt"),

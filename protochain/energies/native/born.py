@@ -117,8 +117,8 @@ def polar_sums(
                 )  # fmt: skip
             else:
                 energy -= _salted_tile(
-                    atoms[i], atoms[j], i == j, cutoff * cutoff, 1.0 / cutoff, *salt, rows, sums[c, i],
-                    sums[c, j],
+                    atoms[i], atoms[j], i == j, cutoff * cutoff, 1.0 / cutoff, salt[0], salt[1], rows,
+                    sums[c, i], sums[c, j],
                 )  # fmt: skip
         energies[c] += energy
 
