@@ -4,7 +4,6 @@ It is stored as mmCIF text of gemmi, because gemmi's objects are mutable and can
 """
 
 from collections.abc import Iterable
-from itertools import repeat
 
 import gemmi
 
@@ -72,8 +71,6 @@ def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     entities = []
     for entity in out.entities:
         entity.subchains = [label for label in dict.fromkeys(entity.subchains) if label in residues_of]
-        for label in entity.subchains if complete else ():
-            _number_caps(residues_of[label], len(entity.full_sequence))
         if entity.subchains and _fits(entity, residues_of, complete):
             entities.append(entity)
             for label in entity.subchains:
@@ -90,19 +87,6 @@ def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     _filter_annotations(out)
 
 
-def _number_caps(residues: list[gemmi.Residue], length: int) -> None:
-    """Number built caps in the sequence, at places without coordinates. Other caps stay without a number."""
-    used = {residue.label_seq for residue in residues}
-    for residue, cap, step in (
-        *zip(residues, residues[1:], repeat(1)),
-        *zip(residues[1:], residues, repeat(-1)),
-    ):
-        place = (residue.label_seq or -1) + step
-        if cap.label_seq is None and cap.name == ("NME" if step > 0 else "ACE") and 0 < place <= length:
-            cap.label_seq = None if place in used else place
-            used.add(place)
-
-
 def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]], complete: bool = True) -> bool:
     """Whether an entity has a place for each residue. Its sequence is updated to the present names."""
     residues = [residue for subchain in entity.subchains for residue in residues_of[subchain]]
@@ -113,8 +97,7 @@ def _fits(entity: gemmi.Entity, residues_of: dict[str, list[gemmi.Residue]], com
         return True
     names: dict[int, dict[str, None]] = {}
     for residue in residues:
-        # A PDB file does not number residues in the sequence.
-        if residue.label_seq is None and residue.name in CAPS and not complete:
+        if residue.name in CAPS and not complete:  # PDB files have no numbers in the sequence.
             continue
         if residue.label_seq is None or not 1 <= residue.label_seq <= len(entity.full_sequence):
             return False
