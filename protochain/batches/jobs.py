@@ -20,6 +20,7 @@ from protochain.core.checks import (
     MOLECULE_SUFFIXES,
     RENAMED_KEYWORDS,
     check_fields,
+    designs,
     file_and_record,
     force_field_parts,
     instance,
@@ -268,7 +269,7 @@ class _JobInput:
     settings: BatchSettings
     root: Path
     """Folder relative to which the structure is named."""
-    pose: str = ""
+    pose: str = ""  # Or name of the design.
 
     def job(self) -> Job:
         """Job of the input, without a name."""
@@ -316,7 +317,11 @@ def find_jobs(
         inputs_found += _from_manifest(manifest, settings)
     unique: dict[tuple[Path, BatchSettings], _JobInput] = {}
     for job_input in (
-        job_input for one in inputs_found for with_pose in _poses(one) for job_input in _models(with_pose)
+        job_input
+        for one in inputs_found
+        for with_pose in _poses(one)
+        for design in _designs(with_pose)
+        for job_input in _models(design)
     ):
         unique.setdefault((job_input.path.absolute(), job_input.settings), job_input)
     inputs_found = list(unique.values())
@@ -435,6 +440,23 @@ def _poses(job_input: _JobInput) -> list[_JobInput]:
         for pose in sources
         for file, record in [file_and_record(pose)]
     ]
+
+
+def _designs(job_input: _JobInput) -> list[_JobInput]:
+    """Copies of an input, one for each design of a FASTA file."""
+    settings = job_input.settings
+    file = settings.relaxing.sequence or settings.setup.sequence
+    return [
+        replace(
+            job_input,
+            settings=replace(
+                settings, setup=replace(settings.setup, sequence=letters),
+                relaxing=replace(settings.relaxing, sequence=settings.relaxing.sequence and letters),
+            ),
+            pose="_".join(filter(None, (job_input.pose, name))),
+        )
+        for name, letters in designs(file)
+    ] or [job_input]  # fmt: skip
 
 
 def _models(job_input: _JobInput) -> list[_JobInput]:

@@ -1,7 +1,9 @@
 """All mutations of some sites, in this process or several. The table is complete after each mutant."""
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +25,7 @@ from protochain.relaxation.result import Relaxation
 from protochain.results.run_folder import checkpoint_of, refuse_earlier
 from protochain.structure import Structure
 from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.substitute import LETTERS
+from protochain.structure.substitute import LETTERS, thread_sequence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +64,57 @@ class SiteJob:
             _failed_row(structure, self.residue, letter, status, message)
             for letter in self.letters[len(finished_rows) :]
         ]
+
+
+@dataclass(frozen=True)
+class DesignJob:
+    """A mutant with the sequence of a design, for a process."""
+
+    task: Path  # Pickled structure and settings.
+    record: str  # Name of the design.
+    sequence: str
+    output: Path
+
+    def run(self, threads: int) -> Iterator[dict[str, Any]]:
+        """Build and relax the mutant, and write it."""
+        structure, relaxing, setup = load_shared(self.task)
+        try:
+            names = thread_sequence(structure, self.sequence)
+            if not names:  # The first record of ProteinMPNN is the input. A residue becomes itself.
+                amino = (r for r, name in enumerate(structure.residue_name.tolist()) if name in STANDARD)
+                names = {r: str(structure.residue_name[r]) for r in itertools.islice(amino, 1)}
+            mutation = mutate_at(structure, names, relaxing, replace(setup, threads=threads), {})
+            if mutation.mutant.is_usable:
+                mutation.save(self.output)
+            yield {"record": self.record} | mutation.record()
+        except Exception as error:
+            yield self._failed_row(*reason(error))
+
+    def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
+        """Row of the missing mutant, if the process ended."""
+        return [] if finished_rows else [self._failed_row(status, message)]
+
+    def _failed_row(self, status: str, message: str) -> dict[str, Any]:
+        empty = dict.fromkeys(column.key for column in COLUMNS)
+        structure = load_shared(self.task)[0].name
+        state = {"structure": structure, "status": status, "message": message}
+        return {"record": self.record} | empty | state
+
+
+def mutate_designs(
+    structure: Structure, outputs: Mapping[Path, tuple[str, str]], relaxing: RelaxSettings, setup: Setup,
+    table: Path, processes: Processes, watch: Callable[[int, int], None],
+) -> Rows:  # fmt: skip
+    """Write a mutant for each design (name, sequence) by its file, and the table of all, in their order."""
+    rows: Rows = []
+    names = [name for name, _ in outputs.values()]
+    with shared_file((structure, relaxing, setup)) as task:
+        jobs = [DesignJob(task, *design, path.absolute()) for path, design in outputs.items()]
+        for _, rows_of_job in run_jobs(jobs, processes):
+            rows = sorted([*rows, *rows_of_job], key=lambda row: names.index(row["record"]))
+            write_atomically(table, partial(pd.DataFrame(rows).to_csv, index=False))
+            watch(len(rows), len(jobs))
+    return rows
 
 
 def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:

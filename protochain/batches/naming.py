@@ -23,7 +23,7 @@ class NameRequest:
     model: int | str | None
     key: str  # Hash of content and settings.
     methods: tuple[str, ...]  # Each writes a file.
-    pose: str = ""  # Name of the pose of an added ligand, if there are several.
+    pose: str = ""  # Name of the pose of an added ligand or of the design, if there are several.
 
     @property
     def source(self) -> tuple[str, str]:

@@ -263,6 +263,8 @@ class Setup(Settings):
 
         if isinstance(self.model, str):
             raise refusal("model", self.model, "only one model can be prepared; give its number")
+        if checks.designs(self.sequence):
+            raise refusal("sequence", self.sequence, checks.choose_record(self.sequence))
         structure = as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,

@@ -296,6 +296,8 @@ _FACTS = {
 
 _MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
 _MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
+_DESIGN = _cells(_row("record"), _row(of_mutations.COLUMNS))
+_DESIGNS_TOLD = _row("input results files", results=[_DESIGN], files=list[str])
 _SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
 _POSE = {name.removeprefix("pose_"): kind for name, kind in OF_POSE.items()}
 _RESTRAINTS = {"--restraint-csv": (_cells(get_type_hints(RestraintValue)),)}
@@ -385,8 +387,8 @@ CONTRACTS: Mapping[str, Contract] = {
         {"--output": (_MEASURED,), "--trajectory": (_frames(RmsdFrames.columns),)},
     ),
     "mutate": Contract(
-        (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD),
-        {"--scan": (_MUTANT,)},
+        (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD, _DESIGNS_TOLD),
+        {"--scan": (_MUTANT,), "--sequence": (_DESIGN,)},
     ),
     "scan": Contract((_SCANNED,), {"--output": (_cells({OTHERS: float, "status": NotRequired[Status]}),)}),
     "info": Contract((_FACTS,)),

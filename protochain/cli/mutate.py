@@ -12,11 +12,13 @@ from protochain.cli import options
 from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.relax import Resume, Workers
 from protochain.core import defaults
+from protochain.core.checks import designs, sequences
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import claimed_files
 from protochain.relaxation.relax_settings import RelaxSettings
 
 if TYPE_CHECKING:
+    from protochain.batches.cluster import Processes
     from protochain.relaxation.mutations import Mutation
 
 _SHOWN = (
@@ -50,6 +52,10 @@ def mutate(
     scan: Annotated[
         str | None, typer.Option(metavar="A:1-50", help="Residues to mutate one at a time.")
     ] = None,
+    sequence: Annotated[
+        str | None,
+        typer.Option(metavar="FASTA", help="Letters, or a FASTA file, with a mutant for each design."),
+    ] = None,
     into: Annotated[str, typer.Option(metavar="A|AVL|all", help="New residues of a scan.")] = "A",
     report: options.Report = None,
     workers: Workers = None,
@@ -65,20 +71,26 @@ def mutate(
     """Mutate residues and report the energy change.
 
     Side chains within 10 angstrom are rebuilt on rotamers and relaxed, also in the wild type. The backbone
-    is fixed. With --scan, residues are mutated one at a time, for a table and a page with a heat map.
+    is fixed. With --scan, residues are mutated one at a time, for a table and a page with a heat map. With
+    --sequence FASTA, the mutant of each design is written to a folder, with a table.
     """
+    from protochain.batches.cluster import Processes
     from protochain.relaxation.mutations import PROTOCOL, mutate_at, places_of
+    from protochain.structure.substitute import thread_sequence
 
-    if (mutations is None) == (scan is None):
-        conflict = ", not both" if scan else ""
-        raise ProtochainError(f"mutate: give mutations, as A:L45F, or --scan SITES{conflict}")
+    if [mutations, scan, sequence].count(None) != 2:
+        raise ProtochainError("mutate: give one of mutations, as A:L45F, --scan SITES, or --sequence FASTA")
     relaxing = replace(relaxing, **PROTOCOL)
     if scan is not None:
         raise typer.Exit(
             _scan(source, scan, into, output, relaxing, setup, (workers, scheduler, time_limit), report,
                   resume=resume, as_json=as_json, force=force)
         )  # fmt: skip
-    assert mutations is not None
+    letters = sequences(sequence or "", "sequence")
+    if several := designs(letters):
+        options.refuse(context, "into resume report", "applies to scans only")
+        processes = Processes(workers, scheduler, setup.threads or 1, time_limit)
+        raise typer.Exit(_designs(source, several, output, relaxing, setup, processes, as_json, force))
     options.refuse(context, "into workers scheduler time_limit resume report", "applies to scans only")
     stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.mutant{suffix}")
@@ -88,7 +100,9 @@ def mutate(
     structure = setup.load(source)
     options.check_structure(structure, output, None)
     options.print_changes(source, structure)
-    names = places_of(structure, mutations)
+    names = places_of(structure, mutations) if mutations else thread_sequence(structure, letters)
+    if not names:
+        raise ProtochainError(f"{source}: has this sequence already; give another")
     origin = {"input": str(source), "output": str(output), "seconds_preparation": perf_counter() - began}
     mutation = mutate_at(structure, names, relaxing, setup, {})
 
@@ -121,6 +135,39 @@ def _print(mutation: "Mutation") -> None:
         f"mutant: {mutation.mutant.message}",
         _MEANING,
     )
+
+
+def _designs(
+    source: Path, several: list[tuple[str, str]], output: Path | None, relaxing: RelaxSettings, setup: Setup,
+    processes: "Processes", as_json: bool, force: bool,
+) -> int:  # fmt: skip
+    """Write the mutant of each design, and a table of all, to a folder. Return the exit status."""
+    from protochain.batches.mutation_scan import mutate_designs
+    from protochain.cli.rows import print_rows
+    from protochain.cli.terminal import count_progress
+
+    stem, suffix = options.named_after(source)
+    folder = output or Path(f"{stem}.mutants")
+    if folder.is_file() or folder.suffix in (".csv", ".pdb", ".cif"):
+        raise ProtochainError(f"{folder}: several designs require an output folder")
+    outputs = {folder / f"{name}{suffix}": (name, letters) for name, letters in several}
+    table = folder / "mutants.csv"
+    options.check_outputs([source], [*outputs, table], setup, force, new=[] if force else [*outputs, table])
+    folder.mkdir(parents=True, exist_ok=True)
+    with claimed_files(table), processes.started_early():
+        structure = setup.load(source)
+        options.print_changes(source, structure)
+        with count_progress("mutate") as watch:
+            rows = mutate_designs(structure, outputs, relaxing, setup, table, processes, watch)
+    files = [*filter(Path.exists, outputs), table]
+    if as_json:
+        options.print_json({"input": str(source), "results": rows, "files": [*map(str, files)]})
+    else:
+        shown = ["record", *(key for key in _SHOWN[1:] if any(row[key] is not None for row in rows))]
+        print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
+        tell(Kind.RESULT, _MEANING)
+        options.print_files(table)
+    return options.exit_status(row["status"] for row in rows)
 
 
 def _scan(

@@ -16,6 +16,7 @@ from protochain.cli import options
 from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.lines import with_detail
 from protochain.core import defaults
+from protochain.core.checks import designs
 from protochain.core.errors import Argument, ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
 
@@ -72,9 +73,9 @@ def relax(
 ) -> None:
     """Remove overlaps and broken bonds from models within their fold.
 
-    Several files, a folder, a pattern, a manifest, one file with several poses (--ligands POSES), or a run on
-    a cluster write a folder with the table relaxed.csv. With --trajectory, or --frames of a file with models,
-    every frame is relaxed into one trajectory and a table.
+    Several files, a folder, a pattern, a manifest, one file with several poses (--ligands POSES) or designs
+    (--sequence FASTA), or a run on a cluster write a folder with the table relaxed.csv. With --trajectory, or
+    --frames of a file with models, every frame is relaxed into one trajectory and a table.
 
     Poses: protochain relax receptor.pdb --ligand-poses poses.sdf --score-only -o scores
     """
@@ -82,7 +83,7 @@ def relax(
     options.check_restraint_csv(restraint_csv, relaxing.restraints)
     if protein_out and not setup.poses:
         raise ProtochainError(Argument("protein_out"), " requires --ligands POSES")
-    several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
+    several = manifest or options.has_poses(setup) or isinstance(setup.model, str) or designs(setup.sequence)
     if of_frames.are_requested(trajectory, frames):
         if several:
             exclusive = Argument("manifest"), ", ", Argument("model"), " all or poses"

@@ -290,10 +290,13 @@ def sequences(value: Any, name: str) -> str:
     """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file.
 
     A record is a chain. Records of ProteinMPNN and LigandMPNN are designs of all chains, and so are records
-    with ``/`` or ``:`` between chains. ``FILE#2`` is the second design.
+    with ``/`` or ``:`` between chains. ``FILE#2`` is the second design. The name of a file of several designs
+    stays: :func:`designs` reads it.
     """
     specification = text(str(value) if isinstance(value, Path) else value, name).strip()
     file, sign, number = (specification, "", "") if _is_file(specification) else specification.rpartition("#")
+    if designs(specification):
+        return specification
     if _is_file(file) and (not sign or number.isdecimal()):
         specification = _read_fasta(Path(file), int(number or 0), name)
     if specification and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", specification.upper()):
@@ -306,26 +309,59 @@ def _is_file(name_of_file: str) -> bool:
     return bool(name_of_file) and len(name_of_file) < 256 and Path(name_of_file).is_file()
 
 
-def _read_fasta(file: Path, number: int, name: str) -> str:
-    """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
+def designs(specification: str) -> list[tuple[str, str]]:
+    """Unique names and sequences of the designs of a FASTA file, none of another text or of one record."""
+    records = _records(Path(specification)) if _is_file(specification) else []
+    if len(records) < 2 or not _are_designs(records):
+        return []
+    names = dict[str, str]()
+    for number, (head, letters) in enumerate(records, 1):
+        # Programs number designs: x, id=3, or sample=3.
+        stem = "" if "=" in (first := re.split(r"[\s,]", head)[0]) else re.sub(r"[^\w.-]+", "_", first)
+        counter = re.search(r"\b(sample|id)=(\d+)", head)
+        name = f"{stem or counter[1]}_{counter[2]}" if counter else stem or str(number)
+        names[name if name not in names else f"{name}_{number}"] = "/".join(letters).upper()
+    return list(names.items())
+
+
+def _records(file: Path) -> list[tuple[str, list[str]]]:
+    """Title and chains of each record of a FASTA file."""
     records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
-    split = [
+    return [
         (head, re.split("[/:]", "".join(body.split()).strip("/:*"))) for head, body in records if body.strip()
     ]
-    are_designs = len(split) > 1 and all(len(letters) > 1 for _, letters in split)
-    if not number and not are_designs and not any(_DESIGN.search(head) for head, _ in split):
-        chains = [(re.match(r"\w*", head), letters) for head, letters in split]
+
+
+def _are_designs(records: list[tuple[str, list[str]]]) -> bool:
+    """Whether records are alternatives, not the chains of one structure."""
+    is_alike = len({tuple(map(len, letters)) for _, letters in records}) == 1
+    is_named = all(len(re.split(r"[\s,|]", head)[0]) > _LONGEST_CHAIN_NAME for head, _ in records)
+    of_chains = len(records) > 1 and all(len(letters) > 1 for _, letters in records)
+    return of_chains or any(_DESIGN.search(head) for head, _ in records) or (is_alike and is_named)
+
+
+def _read_fasta(file: Path, number: int, name: str) -> str:
+    """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
+    records = _records(file)
+    if not number and not _are_designs(records):
+        chains = [(re.match(r"\w*", head), letters) for head, letters in records]
         return "/".join(
             f"{of[0]}={part}" if of and of[0] and len(letters) == 1 else part
             for of, letters in chains
             for part in letters
         )
-    if number > len(split) or (not number and len(split) > 1):
-        problem = f"has {len(split)} records; choose one as {file}#{len(split)}"
-        raise refusal(name, brief(f"{file}#{number}" if number else str(file)), problem)
-    return "/".join(split[max(number, 1) - 1][1])
+    if number > len(records):
+        raise refusal(name, brief(f"{file}#{number}"), choose_record(str(file)))
+    return "/".join(records[max(number, 1) - 1][1])
 
 
+def choose_record(file: str) -> str:
+    """Remedy for a FASTA file with several designs, if there can be only one."""
+    n = len(_records(Path(file)))
+    return f"has {n} records; choose one as {file}#{n}"
+
+
+_LONGEST_CHAIN_NAME = 4
 _DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidence|num_res)=")
 """What ProteinMPNN and LigandMPNN write above each design."""
 

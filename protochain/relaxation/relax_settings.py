@@ -90,7 +90,8 @@ class RelaxSettings(Settings):
     )  # fmt: skip
     # As in :class:`protochain.Setup`: sequence to build on the backbone.
     sequence: str = setting(
-        "", "First mutate the backbone to this sequence: a FASTA file, or letters, with / between chains.",
+        "", "First mutate the backbone to this sequence: letters, with / between chains, or a FASTA file, "
+        "with a result for each design.",
         sequences, metavar="FASTA",
     )  # fmt: skip
     restraints: tuple[Restraint, ...] = setting(

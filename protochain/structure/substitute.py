@@ -93,7 +93,7 @@ def _with_history(new: Structure, old: Structure, sources: np.ndarray, notes: li
 
 def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
     """Thread another sequence onto the backbone, and rebuild the side chains of a selection, or all."""
-    names = _thread_sequence(structure, sequence) if sequence else {}
+    names = thread_sequence(structure, sequence) if sequence else {}
     if selection:
         chosen = ~structure.kept
         chosen = chosen if selection == defaults.MOVE else chosen & select(structure, selection)
@@ -105,7 +105,7 @@ def rebuild(structure: Structure, selection: str, sequence: str, **settings: Any
     return substitute(structure, names, **settings) if names else structure
 
 
-def _thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
+def thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
     """New names, by index, of the residues whose letters in the sequences differ."""
     (amino,) = np.nonzero(np.bincount(structure.atom_residue, ~structure.kept) > 0)
     amino = amino[~np.isin(structure.residue_name[amino], [*CAPS])]

@@ -1,9 +1,15 @@
 """Sequences of FASTA files: chains by record, and designs of ProteinMPNN and LigandMPNN."""
 
+import json
+
+import pandas as pd
 import pytest
+from fixtures.command_line import refusal, run
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.core.checks import sequences
+from protochain.core.checks import designs, sequences
+from protochain.structure.molecule.residues import STANDARD
 
 PROTEIN_MPNN = """>x, score=1.72, global_score=1.72, fixed_chains=[], designed_chains=['A', 'B'], seed=37
 GGG/GG
@@ -36,11 +42,92 @@ def test_a_design_is_a_record_of_all_chains(text, number, expected, tmp_path):
     assert sequences(f"{path}#{number}" if number else path, "sequence") == expected
 
 
-@pytest.mark.parametrize("text", [PROTEIN_MPNN, LIGAND_MPNN, MONOMERS])
-def test_several_designs_without_a_number_are_refused(text, tmp_path):
+NAMED = ">first|x\nACD\n>second binder\nACE\n"
+NAMES = {
+    PROTEIN_MPNN: ["x", "sample_1"], LIGAND_MPNN: ["x", "x_1", "x_2"], MONOMERS: ["sample_1", "sample_2"],
+    NAMED: ["first_x", "second"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", NAMES)
+def test_several_designs_have_names_and_one_structure_refuses_them(text, tmp_path):
     path = tmp_path / "x.fa"
     path.write_text(text)
     n = text.count(">")
-    for given in (path, f"{path}#{n + 1}"):
-        with pytest.raises(pc.ProtochainError, match=rf"has {n} records; choose one as .*x.fa#{n}"):
-            sequences(given, "sequence")
+    assert sequences(path, "sequence") == str(path)
+    assert [name for name, _ in designs(str(path))] == NAMES[text]
+    assert [letters for _, letters in designs(str(path))] == [
+        sequences(f"{path}#{number}", "sequence") for number in range(1, n + 1)
+    ]
+    with pytest.raises(pc.ProtochainError, match=rf"has {n} records; choose one as .*x.fa#{n}"):
+        sequences(f"{path}#{n + 1}", "sequence")
+    with pytest.raises(pc.ProtochainError, match=rf"has {n} records; choose one as .*x.fa#{n}"):
+        pc.Setup(sequence=path).load(STRUCTURES / "ala10.pdb")
+
+
+@pytest.mark.parametrize("text", ["AAA", ">A\nACD\n>B\nEFG\n", ">chain1\nACD\n>chain2\nEF\n", ">x\nACD\n"])
+def test_chains_and_letters_are_no_designs(text, tmp_path):
+    path = tmp_path / "x.fa"
+    path.write_text(text)
+    assert designs(str(path)) == designs(text) == []
+
+
+@pytest.fixture
+def backbone(tmp_path, monkeypatch):
+    """Folder with a decapeptide, its designs with the input first, and one that is too long."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ala10.pdb").symlink_to(STRUCTURES / "ala10.pdb")
+    letters = {
+        "ala10, score=1.7": "A" * 10,
+        "T=0.1, sample=1, score=0.7": "AAAVAALAAA",
+        "T=0.1, sample=2": "A" * 11,
+    }
+    (tmp_path / "designs.fa").write_text("".join(f">{head}\n{body}\n" for head, body in letters.items()))
+    return tmp_path
+
+
+def test_each_design_is_a_mutant(backbone, capsys):
+    """As mutate builds it from the mutations. The input has a change of 0, a wrong length its reason."""
+    options = ("--sequence", "designs.fa", "--solvent", "vacuum", "--workers", "1")
+    assert run("mutate", "ala10.pdb", *options, "--json") == 4
+    printed = json.loads(capsys.readouterr().out)
+    table = pd.read_csv("ala10.mutants/mutants.csv")
+    assert table["record"].tolist() == ["ala10", "sample_1", "sample_2"]
+    assert [row["record"] for row in printed["results"]] == table["record"].tolist()
+    assert table["status"].tolist() == ["converged", "converged", "refused"]
+    assert "11 letters for chain A" in table["message"][2]
+    alone = pc.mutate("ala10.pdb", "A:A4V,A:A7L", solvent="vacuum")
+    assert table["mutations"][1] == "A:A4V,A:A7L"
+    assert table["ddg_kj_mol"].tolist()[:2] == pytest.approx([0.0, alone.ddg], abs=1e-6)
+    written = pc.load("ala10.mutants/sample_1.pdb")
+    assert "".join(STANDARD[name] for name in written.residue_name) == "AAAVAALAAA"
+    assert sorted(path.name for path in (backbone / "ala10.mutants").glob("*.pdb")) == [
+        "ala10.pdb",
+        "sample_1.pdb",
+    ]
+    assert "exists" in refusal("mutate", "ala10.pdb", *options)
+    assert "give one of" in refusal("mutate", "ala10.pdb", "A:A4V", *options)
+    assert "output folder" in refusal("mutate", "ala10.pdb", *options, "-o", "x.pdb")
+
+
+def test_one_design_is_one_mutant(backbone, capsys):
+    assert run("mutate", "ala10.pdb", "--sequence", "designs.fa#2", "--solvent", "vacuum", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["mutations"] == "A:A4V,A:A7L"
+    assert "has this sequence already" in refusal("mutate", "ala10.pdb", "--sequence", "AAAAAAAAAA")
+
+
+def test_relax_and_batch_have_a_row_for_each_design(backbone, capsys):
+    options = ("--sequence", "designs.fa", "--solvent", "vacuum", "--workers", "1", "--max-iterations", "2")
+    assert run("relax", "ala10.pdb", "-o", "relaxed", *options) == 4
+    table = pd.read_csv("relaxed/relaxed.csv")
+    assert table["structure"].tolist() == ["ala10.ala10", "ala10.sample_1", "ala10.sample_2"]
+    assert table["output"].notna().tolist() == [True, True, False]
+    relaxed = pc.load(backbone / "relaxed" / "ala10.sample_1.relaxed.pdb")
+    assert "".join(STANDARD[name] for name in relaxed.residue_name) == "AAAVAALAAA"
+    capsys.readouterr()
+    assert (
+        run("batch", "ala10.pdb", "--methods", "relax", "--sequence", "designs.fa", "--dry-run", "--json")
+        == 0
+    )
+    names = [row["structure"] for row in json.loads(capsys.readouterr().out)["structures"]]
+    assert names == table["structure"].tolist()

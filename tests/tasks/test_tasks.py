@@ -69,6 +69,12 @@ def made(tmp_path_factory):
     (folder / "poses.sdf").write_text("".join([*records, "broken\n\n\n none\nM  END\n$$$$\n"]))
     (folder / "list.csv").write_text("path\n5awl.pdb\nala10.pdb\n")
     (folder / "seq.fasta").write_text(">A\nAGAVALASAK\n")
+    heads = ("ala10, score=1.7", "T=0.1, sample=1, score=0.7", "T=0.1, sample=2, score=0.7")
+    letters = ("AAAAAAAAAA", "AGAVALASAK", "AAAVALASAE")
+    (folder / "designs.fa").write_text("".join(f">{h}\n{s}\n" for h, s in zip(heads, letters, strict=True)))
+    (folder / "predicted").mkdir()
+    for name in ("6bj9_model_0.cif.gz", "confidence_6bj9_model_0.json"):
+        (folder / "predicted" / name).symlink_to(STRUCTURES / name)
     return folder
 
 
