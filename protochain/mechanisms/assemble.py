@@ -28,7 +28,7 @@ _OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
 
 
 @dataclass(frozen=True, eq=False)
-class Body(Named):
+class Body(Named, noun="body"):
     """A body. Without a hinge it is free.
 
     name: Name.
@@ -39,8 +39,6 @@ class Body(Named):
     velocity, spin (3,): Velocity of the origin of a free body, and its angular velocity, world axes.
     armature: Inertia that a free body has in addition in all of its six freedoms, without weight.
     """
-
-    noun: ClassVar[str] = "body"
 
     mass: float
     com: Any = NOWHERE
@@ -66,7 +64,7 @@ class NominalBody(Body):
 
 
 @dataclass(frozen=True, eq=False)
-class Hinge(Named):
+class Hinge(Named, noun="hinge"):
     """A hinge, which joins a body to its parent.
 
     name: Name.
@@ -78,8 +76,6 @@ class Hinge(Named):
     pitch: Slide of a screw per radian.
     armature: Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
     """
-
-    noun: ClassVar[str] = "hinge"
 
     parent: str
     child: str

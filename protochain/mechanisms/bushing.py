@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ HALF_A_TURN = 3.1
 
 
 @dataclass(frozen=True, eq=False)
-class Bushing(Between):
+class Bushing(Between, noun="bushing"):
     """Elastic joint of two bodies, at rest if the points meet, turned as built.
 
     Its energy is (theta K_r theta + d K_t d) / 2 in the axes of the second body: theta is the rotation vector
@@ -47,8 +47,6 @@ class Bushing(Between):
     MechanicsError
         If the name is already in use, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "bushing"
 
     stiffness: Any
     damping: Any = 0.0

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space
@@ -42,7 +42,7 @@ _CONTRADICTED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Closing(Between):
+class Closing(Between, noun="closing"):
     """A joint that closes a loop. Bodies turn about it as they lie when built.
 
     Parameters
@@ -65,8 +65,6 @@ class Closing(Between):
     MechanicsError
         If the name is already in use, or an argument is invalid.
     """
-
-    noun: ClassVar[str] = "closing"
 
     kind: str = "revolute"
     axis: Any = (0.0, 0.0, 1.0)

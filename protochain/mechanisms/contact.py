@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -168,7 +168,7 @@ def real_restitution(loss: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Contact(Named):
+class Contact(Named, noun="contact"):
     """Balls that touch a plane, a surface, other balls or each other.
 
     Parameters
@@ -184,8 +184,6 @@ class Contact(Named):
     friction : Friction, optional
         Tangential force, none by default.
     """
-
-    noun: ClassVar[str] = "contact"
 
     balls: Sequence[Ball]
     other: Other

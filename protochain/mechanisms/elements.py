@@ -116,6 +116,10 @@ class Named:
 
     name: str
 
+    def __init_subclass__(cls, noun: str = "") -> None:
+        """Name the kind of a class, by default as its base."""
+        cls.noun = noun or cls.noun
+
     @property
     def label(self) -> str:
         """Its kind and name, for messages."""
@@ -156,7 +160,7 @@ class Between(Named):
 
 
 @dataclass(frozen=True, eq=False)
-class CustomForce(Named):
+class CustomForce(Named, noun="force"):
     """User-defined forces, as the forces of contacts are.
 
     Parameters
@@ -171,8 +175,6 @@ class CustomForce(Named):
     MechanicsError
         If the name is already in use, or the element has no ``bind``.
     """
-
-    noun: ClassVar[str] = "force"
 
     element: Element | Load
 

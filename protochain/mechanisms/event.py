@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -51,7 +51,7 @@ class Watched:
 
 
 @dataclass(frozen=True, eq=False)
-class Event(Named):
+class Event(Named, noun="event"):
     """Something that happens when a value falls through zero.
 
     Parameters
@@ -70,8 +70,6 @@ class Event(Named):
     MechanicsError
         If the name is already in use, or a callable is not a function.
     """
-
-    noun: ClassVar[str] = "event"
 
     value: Callable[..., float]
     jump: Callable[..., Any]

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class HingeFriction(Named):
+class HingeFriction(Named, noun="friction"):
     """Friction in a hinge, whose work is dissipation: -(T + mu r N) tanh(qd / v) - c qd.
 
     N is the force across the axis that the hinge transmits. Its moments across the axis press on nothing.
@@ -47,8 +47,6 @@ class HingeFriction(Named):
     MechanicsError
         If the name is already in use, it does nothing, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "friction"
 
     hinge: str
     torque: float = 0.0

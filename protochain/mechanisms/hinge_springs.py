@@ -1,7 +1,6 @@
 """Springs, dampers and stops on hinges."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, check
 
 
 @dataclass(frozen=True, eq=False)
-class Torsion(Named):
+class Torsion(Named, noun="torsion"):
     """Spring, damper, or both, on the angle or slide of a hinge, with energy k (q - rest)^2 / 2.
 
     Parameters
@@ -37,8 +36,6 @@ class Torsion(Named):
     MechanicsError
         If the name is already in use, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "torsion"
 
     hinge: str
     stiffness: float = 0.0
@@ -77,7 +74,7 @@ class Torsions(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class Stop(Named):
+class Stop(Named, noun="stop"):
     """Stops of a hinge: a spring and a damper beyond its limits, which push back and never pull.
 
     Parameters
@@ -96,8 +93,6 @@ class Stop(Named):
     MechanicsError
         If the name is already in use, there are no limits, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "stop"
 
     hinge: str
     low: float = -np.inf

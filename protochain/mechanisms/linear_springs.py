@@ -1,7 +1,7 @@
 """Springs and dampers between two points."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def check_constants(element: Any) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Spring(Between):
+class Spring(Between, noun="spring"):
     """Spring, damper, or both, between two points: energy k (length - rest)^2 / 2, force along the line.
 
     Parameters
@@ -50,8 +50,6 @@ class Spring(Between):
     MechanicsError
         If the name is already in use, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "spring"
 
     stiffness: float = 0.0
     rest: float | None = None

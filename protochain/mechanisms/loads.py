@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ from protochain.mechanisms.elements import Acting, Named
 
 
 @dataclass(frozen=True, eq=False)
-class AppliedForce(Named):
+class AppliedForce(Named, noun="load"):
     """Force at a point of a body, a moment, or both.
 
     Parameters
@@ -38,8 +38,6 @@ class AppliedForce(Named):
     MechanicsError
         If the name is already in use, or nothing acts.
     """
-
-    noun: ClassVar[str] = "load"
 
     body: str
     at: ArrayLike = (0.0, 0.0, 0.0)
@@ -75,7 +73,7 @@ class AppliedForce(Named):
 
 
 @dataclass(frozen=True, eq=False)
-class HingeTorque(Named):
+class HingeTorque(Named, noun="torque"):
     """Torque at a hinge, between parent and child, or a force at a slide.
 
     Parameters
@@ -90,8 +88,6 @@ class HingeTorque(Named):
     MechanicsError
         If the name is already in use.
     """
-
-    noun: ClassVar[str] = "torque"
 
     hinge: str
     value: Any

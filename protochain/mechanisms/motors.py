@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,8 @@ from protochain.mechanisms.elements import Acting, Named
 
 
 @dataclass(frozen=True, eq=False)
-class Driven(Named):
+class Driven(Named, noun="drive of hinge"):
     """Prescribed motion of a hinge, by its name: time -> coordinate, rate, acceleration."""
-
-    noun: ClassVar[str] = "drive of hinge"
 
     motion: Callable[[float], tuple[float, float, float]]
 
@@ -47,7 +45,7 @@ class Driven(Named):
 
 
 @dataclass(frozen=True, eq=False)
-class Motor(Named):
+class Motor(Named, noun="motor"):
     """Motors of hinges that follow a motion: torques of a PD controller, and feed-forward.
 
     The torque is k (q* - q) + c (qd* - qd), and with feed-forward also the inverse dynamics of the
@@ -72,8 +70,6 @@ class Motor(Named):
     MechanicsError
         If the name is already in use, no hinge is followed, or a constant is negative.
     """
-
-    noun: ClassVar[str] = "motor"
 
     follow: Mapping[str, Any]
     stiffness: float = 0.0
