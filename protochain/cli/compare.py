@@ -72,7 +72,7 @@ def compare(
     reference_structure = load(reference) if reference else None
     chain, energy, preparation = options.prepare(source, setup)
     typical = sum(typical_evaluations(method, limit) for method in chosen)
-    foretell(source, chain, energy, typical, len(chosen) * limit)
+    foretell(chain, energy, typical, len(chosen) * limit)
     context.with_resource(held_interrupts())
     with _one_bar_each(limit, tolerance) as watch:
         comparison = run(

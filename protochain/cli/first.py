@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 METHOD = "lbfgs"
 
 
-def announce_duration(source: object, chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
+def announce_duration(chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
     """Report the expected time of a long run, with a minimisation of ``times`` the usual length."""
     typical = times * typical_evaluations(METHOD, defaults.MAX_EVALUATIONS)
     limit = defaults.MAX_EVALUATIONS if times else 0
-    foretell(source, chain, energy, evaluations + typical, evaluations + limit)
+    foretell(chain, energy, evaluations + typical, evaluations + limit)
 
 
 def minimise_first(

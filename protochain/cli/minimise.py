@@ -197,10 +197,9 @@ def _solve_and_write(
     """Prepare and minimise one model, write it, and return its record."""
     chain, energy, preparation = options.prepare(source, setup)
     options.check_structure(chain.structure, output, extras["ligands"])
-    troubled = terminal.print_outlook(source, chain.structure, method)
+    times = terminal.print_outlook(chain.structure, method)
     typical, longest = lengths
-    times = terminal.TROUBLED if troubled else 1
-    terminal.foretell(source, chain, energy, min(longest, times * typical), longest)
+    terminal.foretell(chain, energy, min(longest, times * typical), longest)
     context.with_resource(held_interrupts())
     solution, record = solve(chain, energy)
     model = {} if setup.model is None else {"model": setup.model}

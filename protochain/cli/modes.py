@@ -74,7 +74,7 @@ def modes(
     chain, energy, preparation = options.prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for about 700 products. An analytic one costs a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
-    announce_duration(source, chain, energy, evaluations, int(relax))
+    announce_duration(chain, energy, evaluations, int(relax))
     with held_interrupts():
         q, first = _minimise(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():
@@ -100,7 +100,7 @@ def _minimise(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats",
 
     if torques_at(chain, energy, None).largest <= FLAT:
         return chain.q0, "a minimum as it is: not minimised first"
-    print_outlook(source, chain.structure, METHOD)
+    print_outlook(chain.structure, METHOD)
     solution, line = minimise_first(chain, energy, _RELAXED)
     if not solution.is_usable:
         raise ProtochainError(f"{source}: {solution.message}")

@@ -296,10 +296,8 @@ def print_violations(record: "Mapping[str, Any]") -> None:
     tell(Kind.RESULT, f"{number} violated by more than 0.5 angstrom or 10 degrees:")
     tell(Kind.RESULT, *(f"  {RestraintValue(**value)}" for value in violated[:VIOLATIONS_SHOWN]))
     if len(violated) > VIOLATIONS_SHOWN:
-        tell(
-            Kind.RESULT,
-            f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --restraint-csv and --json list",
-        )
+        further = len(violated) - VIOLATIONS_SHOWN
+        tell(Kind.RESULT, f"  and {further} more, which --restraint-csv and --json list")
 
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:

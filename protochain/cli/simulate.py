@@ -10,7 +10,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import options
 from protochain.cli.first import METHOD, announce_duration, minimise_first
 from protochain.cli.lines import Kind, tell, with_detail
-from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
+from protochain.cli.terminal import print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import claim_folder
 from protochain.dynamics.simulate_settings import Pull, RunSettings, SimulationSettings
@@ -67,11 +67,10 @@ def simulate(
     if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:
         prepare_chain(chain, simulation)  # Reports missing hinges before the work.
     relax = relax and not running.resume
-    troubled = relax and print_outlook(source, chain.structure, METHOD)
-    times = (TROUBLED if troubled else 1) if relax else 0
-    announce_duration(source, chain, energy, running.n_steps, times)
+    times = print_outlook(chain.structure, METHOD) if relax else 0
+    announce_duration(chain, energy, running.n_steps, times)
     context.with_resource(held_interrupts())
-    q = _minimise(source, chain, energy, simulation) if relax else chain.q0
+    q = _minimise(chain, energy, simulation) if relax else chain.q0
     with simulation_progress(source.stem, running.n_steps, simulation.time_step) as watch:
         result = run(chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation))
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
@@ -97,7 +96,7 @@ def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
     raise typer.Exit(options.CONVERGED if result.ending == "completed" else options.INTERRUPTED)
 
 
-def _minimise(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
+def _minimise(chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise in torsions, report the changes, and return the coordinates."""
     solution, line = minimise_first(chain, energy, _RELAXED, simulation.seed, simulation.restraints)
     # Without loop constraints. The force field closes the loops, and their strain is minimised, too.

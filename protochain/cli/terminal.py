@@ -242,21 +242,17 @@ def typical_evaluations(method: "str | Recipe", max_evaluations: int) -> int:
     return min(recipe_of(method).typical or max_evaluations, max_evaluations)
 
 
-def print_outlook(source: object, structure: "Structure", method: "str | Recipe") -> bool:
-    """Print the problems of a start and their treatment on standard error. Return whether there are any."""
+def print_outlook(structure: "Structure", method: "str | Recipe") -> int:
+    """Print the problems of a start and their treatment on standard error. Return a factor of evaluations."""
     from protochain.minimisers.recipes import recipe_of
     from protochain.minimisers.start_warnings import describe_start
 
     lines = describe_start(structure, recipe_of(method))
     warn(lines)
-    return bool(lines)
+    return 3 if lines else 1  # Starts with overlaps or violations, such as predicted models, need more.
 
 
-TROUBLED = 3
-"""Factor of the usual evaluations for starts with overlaps or violations, such as predicted models."""
-
-
-def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, limit: int) -> None:
+def foretell(chain: "Chain", energy: "Energy", evaluations: int, limit: int) -> None:
     """Report the expected time before a long run."""
     x = chain.structure.positions
     # The first call loads kernels and builds neighbour lists. The quickest is used, as others may wait.

@@ -42,7 +42,7 @@ def simulated(monkeypatch, tmp_path):
         return seen.done
 
     monkeypatch.setattr(options, "prepare", lambda source, setup: (chain, "energy", 1.5))
-    monkeypatch.setattr(SIMULATE, "print_outlook", lambda *given: False)
+    monkeypatch.setattr(SIMULATE, "print_outlook", lambda *given: 1)
     monkeypatch.setattr(FIRST, "foretell", lambda *given: None)
     for module, name in ((FIRST, "run_progress"), (SIMULATE, "simulation_progress")):
         monkeypatch.setattr(module, name, lambda *given, **more: nullcontext())

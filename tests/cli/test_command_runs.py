@@ -62,7 +62,7 @@ def asked(monkeypatch):
         seen.runs += 1
         return next(seen.ends)
 
-    monkeypatch.setattr(terminal, "print_outlook", lambda *given: False)
+    monkeypatch.setattr(terminal, "print_outlook", lambda *given: 1)
     monkeypatch.setattr(options, "prepare", prepare)
     for module in (terminal, COMPARE):
         monkeypatch.setattr(module, "foretell", lambda *given: None)

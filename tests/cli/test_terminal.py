@@ -205,13 +205,13 @@ def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, c
 
 def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
-    terminal.foretell("1l2y.pdb", c, e, 100, 5000)
+    terminal.foretell(c, e, 100, 5000)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(terminal, "_LONG", 0.0)
     for evaluations in (100, 5000):
-        terminal.foretell("1l2y.pdb", c, e, evaluations, 5000)
+        terminal.foretell(c, e, evaluations, 5000)
         (line,) = capsys.readouterr().err.splitlines()
-        atoms, each, *counts, seconds = numbers(line.removeprefix("1l2y.pdb: "))
+        atoms, each, *counts, seconds = numbers(line)
         assert atoms == c.n_atoms and counts == ([100, 5000] if evaluations < 5000 else [5000])
         # Two digits of one energy, and whole seconds.
         assert seconds == pytest.approx(each * evaluations, rel=0.05, abs=0.5)
