@@ -169,11 +169,7 @@ def _find_modified(structure: Structure) -> set[int]:
 def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[str, str, list[int | None]]]:
     """Yield kind, name and atoms of turning side-chain bonds, outwards, without rings and planar pairs."""
     atoms = [*index.values()]
-    bonds = structure.bonds[np.isin(structure.bonds, atoms).all(axis=1)].tolist()
-    near: Mapping[int, list[int]] = {atom: [] for atom in atoms}
-    for a, b in bonds:
-        near[a].append(b)
-        near[b].append(a)
+    near = neighbours(structure.bonds[np.isin(structure.bonds, atoms).all(axis=1)], structure.n_atoms)
     element, number = structure.atom_element, 0
     trigonal = {a for a in atoms if element[a] == "C" and len(near[a]) == 3}
     planar = trigonal | {a for a in atoms if element[a] == "N" and {*near[a]} & trigonal}
