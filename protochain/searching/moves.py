@@ -12,7 +12,7 @@ import numpy as np
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
-from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
+from protochain.validation.ramachandran import FAVOURED, residue_classes, tables
 
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about its rotamer's, about the width of their peaks."""
@@ -58,7 +58,7 @@ class Moves(Value):
     def of(cls, chain: Chain) -> Moves:
         """Sort the hinges of a chain by residue."""
         structure = chain.structure
-        names = [str(name) for name in structure.residue_name]
+        names, classes = structure.residue_name.tolist(), residue_classes(structure).tolist()
         by_residue: dict[int, dict[str, int]] = {}
         other_hinges, c_termini = [], set()
         for hinge, coordinate in zip(
@@ -76,11 +76,10 @@ class Moves(Value):
             chi: list[int] = []
             while (kind := f"chi{len(chi) + 1}") in coordinates:
                 chi.append(coordinates[kind])
-            after = names[r + 1] if r + 1 < len(names) else ""
             mirror = -1.0 if structure.mirrored[r] else 1.0
             phi_psi = coordinates.get("phi", NONE), coordinates.get("psi", NONE)
             ends = r == 0, r in c_termini
-            residues.append(Residue(names[r], _class(names[r], after), mirror, *phi_psi, tuple(chi), *ends))
+            residues.append(Residue(names[r], classes[r], mirror, *phi_psi, tuple(chi), *ends))
         flips = tuple(
             (coordinates["psi"], by_residue[r + 1]["phi"])
             for r, coordinates in sorted(by_residue.items())
@@ -207,19 +206,6 @@ def _turn_backbone(q: Floats, residue: Residue, random: np.random.Generator) -> 
     for coordinate, angle in zip((residue.phi, residue.psi), backbone(residue, random), strict=True):
         if coordinate != NONE:
             q[coordinate] = angle
-
-
-def _class(name: str, after: str) -> int:
-    """Ramachandran class of a residue with trans omega, by the name of the next residue."""
-    if name == "GLY":
-        kind = "glycine"
-    elif name == "PRO":
-        kind = "trans_proline"
-    elif after == "PRO":
-        kind = "pre_proline"
-    else:
-        kind = "ile_val" if name in ("ILE", "VAL") else "general"
-    return CLASSES.index(kind)
 
 
 def _draw_one(sequence: Sequence[T], random: np.random.Generator) -> T:

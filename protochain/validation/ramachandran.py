@@ -52,7 +52,7 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     phi, psi, omega = peptides(structure, positions(structure, x))
     standard = np.isin(structure.residue_name, list(STANDARD))
     residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
-    kind = _classes(structure, omega)[residue]
+    kind = residue_classes(structure, omega)[residue]
     phi, psi = phi[residue], psi[residue]
     mirror = np.where(structure.mirrored[residue], -1.0, 1.0)
     values = score(kind, mirror * phi, mirror * psi)
@@ -75,8 +75,8 @@ def tables() -> Floats:
         return read_only([stored[name] for name in CLASSES])
 
 
-def _classes(structure: Structure, omega: Floats) -> NDArray[np.int64]:
-    """Class of each residue (nr,): glycine and proline come first, then residues before a proline."""
+def residue_classes(structure: Structure, omega: Floats | float = 180.0) -> NDArray[np.int64]:
+    """Class of each residue (nr,): glycine and proline (omega in degrees), then residues before a proline."""
     name, after = structure.residue_name, layout(structure).after
     before_proline = (after != NONE) & (name[after] == "PRO")
     cis = np.abs(omega) < _CIS
