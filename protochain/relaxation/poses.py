@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats
-from protochain.energies.decomposed import native_of
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers
+from protochain.energies.decomposed import interaction, native_of
 from protochain.results.columns import Kind
 from protochain.structure.ligand_files import title_of_last
 from protochain.validation.ligands import POSEBUSTERS
@@ -13,8 +14,6 @@ from protochain.validation.ligands import POSEBUSTERS
 if TYPE_CHECKING:
     from protochain.relaxation.result import Relaxation
 
-_APART = 1e5
-"""nm. Unit charges at this distance interact by 0.001 kJ/mol."""
 _ENDS = ("start", "end")
 COLUMNS: dict[str, Kind] = {
     "pose_title": str, "pose_chain": str, "pose_residue": str, "pose_valid": bool | None,
@@ -47,12 +46,13 @@ def pose_record(result: "Relaxation") -> dict[str, Any]:
     return {f"pose_{name}": value for name, value in values.items()}
 
 
-def _interaction(result: "Relaxation", atoms: Any, x: Floats) -> float | None:
-    """Energy of a complex at x (na, 3) nm minus the energy of its rigid parts apart, kJ/mol."""
-    # Another engine would round at this distance.
-    energy = native_of(result.energy_function)
-    if energy is None:
+def _interaction(result: "Relaxation", atoms: Integers, x: Floats) -> float | None:
+    """Energy of a complex at x (na, 3) nm minus the energy of its rigid parts apart, kJ/mol.
+
+    As of :func:`protochain.score_interface`, without springs to metals. None if it is too large.
+    """
+    energy, s = native_of(result.energy_function), result.start
+    if energy is None or s.n_atoms > defaults.FULL_UP_TO:
         return None
-    apart = np.array(x)
-    apart[atoms, 0] += _APART
-    return float(energy(x)[0] - energy(apart)[0])
+    pose = np.isin(np.arange(s.n_residues), s.atom_residue[atoms])
+    return float(sum(shares.sum() for shares in interaction(s, energy, x, pose, ~pose)))

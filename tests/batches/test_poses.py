@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from fixtures.command_line import run
 from fixtures.samples import STRUCTURES
-from fixtures.tolerances import POSE_APART
 
 import protochain as pc
 from protochain.relaxation.poses import COLUMNS
@@ -87,7 +86,7 @@ def test_scores_are_of_the_poses_as_they_are(scored, poses):
         (ligand,), row = pc.validate(s).ligands, table.loc[title]
         apart = pc.score_interface(s, "A", "B").scores["energy_kj_mol"]
         for when in ("start", "end"):
-            assert row[f"interaction_energy_{when}_kj_mol"] == pytest.approx(apart, abs=POSE_APART)
+            assert row[f"interaction_energy_{when}_kj_mol"] == pytest.approx(apart, rel=1e-9)
             assert row[f"strain_{when}_kj_mol"] == pytest.approx(ligand.strain_kj_mol, rel=1e-6)
             assert row[f"clashes_{when}"] == ligand.clashes
         assert row["rmsd_angstrom"] == 0.0
