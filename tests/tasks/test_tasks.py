@@ -62,6 +62,9 @@ def made(tmp_path_factory):
     lines = (STRUCTURES / "5awl.pdb").read_text().splitlines(keepends=True)
     bare = [line for line in lines if line[:4] != "ATOM" or line[12:16].strip() in backbone]
     (folder / "bare.pdb").write_text("".join(bare))
+    lines = (STRUCTURES / "1ubq.pdb").read_text().splitlines(keepends=True)
+    broken = [line for line in lines if line[:4] != "ATOM" or not 16 <= int(line[22:26]) <= 18]
+    (folder / "broken.pdb").write_text("".join(broken))
     (folder / "empty.pdb").write_text("END\n")
     (folder / "r.txt").write_text("distance A:1:CA A:10:CA 0 30  # far\ndihedral phi@A:5 -70 -50 200\n")
     (folder / "noe.nef").write_text(NOES)
