@@ -167,6 +167,9 @@ class Ensemble(Value):
                 k += 1
             for i in reversed(absent):
                 del residue[i]
+        # Frames may lack caps.
+        for chain, i in [(c, i) for c in model[0] for i in reversed(range(len(c))) if not len(c[i])]:
+            del chain[i]
         complete = as_structure(model, s.name, **{"keep": "all", **self.settings})
         built = dict(zip(_keys(complete), complete.positions, strict=True))
         x, keys = np.array(x), _keys(s)

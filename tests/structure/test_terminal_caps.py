@@ -3,12 +3,20 @@
 from itertools import pairwise
 
 import gemmi
+import mdtraj
 import numpy as np
 import openmm
 import pytest
 from fixtures.command_line import run
 from fixtures.samples import STRUCTURES, shared
-from fixtures.tolerances import CAP_ANGLE_RAD, CAP_BOND_NM, CAP_PLACE_NM, PDB_ROUNDING_NM, READ_AGAIN
+from fixtures.tolerances import (
+    CAP_ANGLE_RAD,
+    CAP_BOND_NM,
+    CAP_PLACE_NM,
+    IN_SINGLE_KJ_MOL,
+    PDB_ROUNDING_NM,
+    READ_AGAIN,
+)
 from openmm import app, unit
 
 import protochain as pc
@@ -260,6 +268,16 @@ def test_mutations_and_rebuilt_side_chains_keep_the_caps(tmp_path):
     backbone = np.isin(s.atom_name, ["N", "CA", "C", "O", "CH3"])
     again = np.isin(rebuilt.atom_name, ["N", "CA", "C", "O", "CH3"])
     assert np.array_equal(rebuilt.positions[again], s.positions[backbone])
+
+
+def test_frames_without_caps_get_them(tmp_path):
+    # Glutamine 49 is flipped in the structure and not in frames of the file.
+    path = cut(tmp_path / "cut.pdb", 16, 17, 18, 49, records=("HELIX",))
+    mdtraj.load(path).save_dcd(tmp_path / "cut.dcd")
+    s = pc.load(path, cap="breaks")
+    table = pc.frame_energies(path, tmp_path / "cut.dcd", cap="breaks", solvent="vacuum")
+    expected = pc.energy(s, solvent="vacuum")(s.positions)[0]
+    assert table["energy_kj_mol"][0] == pytest.approx(expected, abs=IN_SINGLE_KJ_MOL)
 
 
 def test_numbers_select_residues_and_commands_report_breaks(tmp_path, capsys):

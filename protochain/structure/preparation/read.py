@@ -262,8 +262,8 @@ def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
 
 def _goes_on(last: Member, first: Member) -> bool:
     """Whether a residue follows another in one sequence, by the sequence in the file or by the numbers."""
-    if last.label[1] and first.label[1]:
-        return last.label[0] == first.label[0] and last.label[1] < first.label[1]
+    if last.label[1] and first.label[1] and last.label[0] == first.label[0]:
+        return last.label[1] < first.label[1]
     return (int(last.number), last.insertion_code) < (int(first.number), first.insertion_code)
 
 
