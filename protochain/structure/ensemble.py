@@ -156,7 +156,7 @@ class Ensemble(Value):
         return x
 
     def _rebuild(self, x: Floats) -> Floats:
-        """Build atoms that the frame lacks, as for a file. Hydrogens without a match stay missing."""
+        """Build heavy atoms that the frame lacks, as for a file. Hydrogens stay missing."""
         s, model = self.structure, as_gemmi([self.structure])
         k = 0
         for residue in (residue for chain in model[0] for residue in chain):
@@ -173,11 +173,10 @@ class Ensemble(Value):
         complete = as_structure(model, s.name, **{"keep": "all", **self.settings})
         built = dict(zip(_keys(complete), complete.positions, strict=True))
         x, keys = np.array(x), _keys(s)
-        for k in np.flatnonzero(np.isnan(x[:, 0])).tolist():
-            if keys[k] in built:
-                x[k] = built[keys[k]]
-            elif s.atom_element[k] != "H":
+        for k in np.flatnonzero(np.isnan(x[:, 0]) & (s.atom_element != "H")).tolist():
+            if keys[k] not in built:
                 raise StructureError(f"{s.describe(k)} cannot be built; give frames with all heavy atoms")
+            x[k] = built[keys[k]]
         return x
 
 
