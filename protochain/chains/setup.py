@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 ALL_MODELS = "all"
 OF_ENERGY = (
     "forcefield", "solvent", "salt", "engine", "device", "cutoff", "accuracy", "threads", "trust_forcefield",
-    "terms",
+    "terms", "calculator",
 )  # fmt: skip
 """Settings that are arguments of :func:`protochain.energy`."""
 
@@ -99,7 +99,13 @@ class Setup(Settings):
         "all",
         "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",
         checks.text,
-        option="--terms --energy",
+        doc="As in :func:`protochain.energy`.",
+    )
+    calculator: str | None = setting(
+        None,
+        "xtb, aimnet2 or mace-off, within the ligands, or within a small structure without ligands.",
+        checks.optional(checks.text),
+        option="--energy",
         doc="As in :func:`protochain.energy`.",
     )
     cutoff: float | Literal["auto"] | None = setting(

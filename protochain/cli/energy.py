@@ -19,7 +19,7 @@ _MOST_ROWS = 25
 """Printed rows, with the largest totals."""
 
 
-@options.with_settings(setup="hinges root move rigid_protein engine device terms")
+@options.with_settings(setup="hinges root move rigid_protein engine device terms calculator")
 def energy(
     context: typer.Context,
     source: options.Input,

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 @with_settings(
-    setup="hinges root move rigid_protein engine device terms solvent salt cutoff accuracy threads "
-    "trust_forcefield"
+    setup="hinges root move rigid_protein engine device terms calculator solvent salt cutoff accuracy "
+    "threads trust_forcefield"
 )
 def ensemble(
     source: Input,

@@ -15,7 +15,7 @@ _FEW = 5
 _GROUPS = {
     "Structure": "model assembly altloc chains keep exclude disulfide no_disulfide ph strict frames "
     "standard_residues cap keep_hydrogens",
-    "Force field": "forcefield solvent salt terms engine cutoff accuracy trust_forcefield",
+    "Force field": "calculator forcefield solvent salt terms engine cutoff accuracy trust_forcefield",
     "Ligands": "ligands ligand_charges ligand_out protein_out free_ligands score_only posebusters",
     "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "
     "restraint_csv rank verbose quiet",

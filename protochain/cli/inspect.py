@@ -16,7 +16,9 @@ from protochain.core.markup import plural
 
 
 @with_detail
-@options.with_settings(setup="engine device move rigid_protein terms solvent salt cutoff accuracy threads")
+@options.with_settings(
+    setup="engine device move rigid_protein terms calculator solvent salt cutoff accuracy threads"
+)
 def info(
     source: options.Input,
     energy: Annotated[

@@ -32,7 +32,7 @@ _TEXT = (
     f"pentapeptides GGXGG. Side chains near the site are rebuilt and relaxed alike on both sides. {_MEANING} "
     "Red is less stable, blue more."
 )
-_WITHOUT = "hinges root move rigid_protein terms rebuild_side_chains sequence"
+_WITHOUT = "hinges root move rigid_protein terms calculator rebuild_side_chains sequence"
 _SHARED = "preset tolerance interface"
 _OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _SHARED.split())
 

@@ -37,7 +37,7 @@ _OTHER_PROGRAMS = {
 
 
 @with_detail
-@options.with_settings(setup="hinges root move rigid_protein engine device terms")
+@options.with_settings(setup="hinges root move rigid_protein engine device terms calculator")
 def score(
     context: typer.Context,
     inputs: options.Inputs,

@@ -31,7 +31,7 @@ _SHOWN = 10
 
 @with_settings(
     setup="hinges move rigid_protein forcefield solvent salt engine device cutoff accuracy threads "
-    "trust_forcefield terms ligand_charges"
+    "trust_forcefield terms calculator ligand_charges"
 )
 def validate(
     context: typer.Context,

@@ -9,9 +9,9 @@ from openmm import app, unit
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief, check_arguments, instance
 from protochain.core.errors import ProtochainError
-from protochain.energies.custom import as_energy
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy
+from protochain.energies.requested import as_energy
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
 

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import brief, plain, refuse_class
+from protochain.core.checks import brief, plain
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies.factory import energy, has_energy
-from protochain.energies.protocol import Energy, check_is_of
-from protochain.structure.molecule.model import Structure
 
 EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]
 """Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""
@@ -134,44 +131,3 @@ def name_of(value: Any) -> str:
     """Qualified name of a function or class, or of an object's class."""
     definition = value if hasattr(value, "__qualname__") else type(value)
     return f"{definition.__module__ or '__main__'}.{definition.__qualname__}"
-
-
-def as_energy(given: Any, structure: Structure, source: Any = None, **arguments: Any) -> Energy:
-    """Return the energy that a caller requests.
-
-    Parameters
-    ----------
-    given : Energy, result, callable or None
-        Energy of this structure, result with it, or callable as for :class:`CustomEnergy`. The default is
-        the energy of the source, if it has one, as a result has, or else of the default force field.
-    structure : Structure
-        Structure whose energy it is.
-    source : Any
-        Structure argument of the caller.
-    **arguments
-        Arguments of :func:`protochain.energy` from the caller. They replace the arguments of the source.
-
-    Returns
-    -------
-    Energy
-        The given energy, or an energy that wraps the callable.
-
-    Raises
-    ------
-    ProtochainError
-        If the value is neither, was built for other atoms, or does not return an energy and its forces.
-    """
-    if given is None:
-        given = energy(source if has_energy(source) else structure, **arguments)
-    given = given.energy_function if has_energy(given) else given
-    if hasattr(given, "without_constants"):
-        check_is_of(given, structure)
-        return given
-    refuse_class(given, "energy")
-    if not callable(given):
-        raise ProtochainError(
-            f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"
-        )
-    custom = CustomEnergy(given)
-    check_forces(given, structure.positions, f"energy {custom.name}")
-    return custom

@@ -20,7 +20,6 @@ from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, dis
 from protochain.core.checks import check_arguments, concentration, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import without_none
-from protochain.energies.custom import as_energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.neighbours import partners as partners_of
 from protochain.energies.native.pairs import CLOSEST
@@ -29,6 +28,7 @@ from protochain.energies.native.terms import Bonded, Terms
 from protochain.energies.on_device import DeviceEnergy
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy, an_energy
+from protochain.energies.requested import as_energy
 from protochain.structure import as_structure
 from protochain.structure.molecule.model import Structure
 from protochain.structure.select import select

@@ -102,7 +102,7 @@ def create_system(
         _scale_pairs(system, structure.ligands)
     _refuse_unbonded(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
-    _exclude(system, _excluded_pairs(structure, by_element))
+    exclude_pairs(system, _excluded_pairs(structure, by_element))
     _share_charges(system, structure)
     for force in _springs(structure.ties):
         system.addForce(force)
@@ -577,7 +577,7 @@ def _excluded_pairs(structure: Structure, by_element: np.ndarray) -> set[tuple[i
     return pairs
 
 
-def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
+def exclude_pairs(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
     """Exclude pairs from all Lennard-Jones and Coulomb forces."""
     pairs = sorted(pairs)
     for force in system.getForces():

@@ -33,6 +33,7 @@ from protochain.core.settings import inheriting
 from protochain.core.storage import regular
 from protochain.core.timings import part
 from protochain.core.units import COULOMB
+from protochain.energies.calculators import CalculatorEnergy
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB_CUSTOM
@@ -94,7 +95,7 @@ TERMS = ("all", "nonbonded")
 dihedrals, impropers and CMAP, for rigid peptide planes that only attract and repel each other."""
 
 
-_FUNCTION = {"forcefield", "solvent", "salt", "terms", "cutoff", "system"}
+_FUNCTION = {"forcefield", "solvent", "salt", "terms", "cutoff", "system", "calculator"}
 """Arguments that define the energy function. The others define how it is computed."""
 
 
@@ -124,7 +125,7 @@ def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[s
 @check_arguments(
     forcefield=file_name, solvent=text, salt=concentration, engine=one_of(ENGINES),
     device=one_of(DEVICES), cutoff=cutoff_of, accuracy=accuracy_of,
-    threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),
+    threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS), calculator=optional(text),
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 @inheriting(_inherit_energy)
@@ -143,6 +144,7 @@ def energy(
     threads: int | None = None,
     trust_forcefield: bool = False,
     terms: str = "all",
+    calculator: str | None = None,
 ) -> Energy:
     """Build the potential energy of a structure.
 
@@ -191,6 +193,9 @@ def energy(
     terms : str
         ``all``, or ``nonbonded``: only electrostatics, van der Waals and the solvent, for methods that only
         turn hinges, as in Kazerounian, Latif, Alvarado, J. Mech. Des. 127:699 (2005).
+    calculator : str, optional
+        ``xtb``, ``aimnet2`` or ``mace-off``, for the terms within the ligands, or within a structure of few
+        atoms without ligands. All other terms, and the solvent, remain those of the force field.
 
     Returns
     -------
@@ -213,6 +218,8 @@ def energy(
     (27, 3)
     """
     settings = {name: value for name, value in locals().items() if name not in ("structure", "system")}
+    if calculator is not None:
+        return CalculatorEnergy(energy, as_structure(structure), system=system, **settings)
     if engine == "native" and device not in ("auto", "cpu"):
         raise ForceFieldError(
             Argument("engine", engine), " computes on the processor; leave out ", Argument("device", device)

@@ -17,10 +17,10 @@ from protochain.core.graph import both_ways
 from protochain.core.markup import facts
 from protochain.core.settings import without_none
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.energies.custom import as_energy
 from protochain.energies.decomposed import TERMS, interaction, native_of
 from protochain.energies.native import NativeEnergy
 from protochain.energies.protocol import Energy, an_energy
+from protochain.energies.requested import as_energy
 from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.formats.confidences import Confidence, confidence_files, read_scores
 from protochain.structure.molecule.model import Structure

@@ -61,7 +61,6 @@ def test_options_have_the_defaults_of_the_setup(command):
     ("field", "former", "commands"),
     [
         ("restraints", "restrain", "minimise simulate search relax batch"),
-        ("terms", "energy", "minimise compare simulate search batch"),
         ("chains", "chain", "minimise compare simulate search relax batch validate score energy info mutate"),
         ("ligands", "ligand", "minimise compare simulate relax batch validate score energy info mutate"),
     ],

@@ -93,7 +93,7 @@ VALUES = {
 """What an option is given, by its name; flags and numbers not here get another than their default."""
 OF_SETUP = {
     "hinges": "chi", "move": "resid 2", "forcefield": "amber99sb", "solvent": "obc2", "engine": "openmm",
-    "device": "cuda",
+    "device": "cuda", "calculator": "xtb",
     "terms": "nonbonded", "cutoff": "1", "accuracy": "exact", "threads": "1",
     "model": "2",
     "assembly": "1", "altloc": "B", "keep": "none", "disulfide": "A:3-A:5", "ph": "3", "chains": "A",

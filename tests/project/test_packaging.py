@@ -41,7 +41,7 @@ def test_the_recipe_renders():
 
 
 def test_extras_are_those_that_are_named():
-    of_work = {"ligands", "pka", "umbrella", "xtb", "robots", "cluster"}
+    of_work = {"ligands", "pka", "quality", "umbrella", "xtb", "aimnet2", "mace-off", "robots", "cluster"}
     named = {"cuda12", "cuda13", "hip", *of_work, "notebook", "test", "dev"}
     assert named == {*PROJECT["optional-dependencies"]}
 

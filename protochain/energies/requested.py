@@ -1,0 +1,54 @@
+"""Energy that a caller requests: an Energy, a result, the name of a calculator, or a callable."""
+
+from typing import Any
+
+from protochain.core.checks import refuse_class
+from protochain.core.errors import ProtochainError
+from protochain.energies.custom import CustomEnergy, check_forces
+from protochain.energies.factory import energy, has_energy
+from protochain.energies.protocol import Energy, check_is_of
+from protochain.structure.molecule.model import Structure
+
+
+def as_energy(given: Any, structure: Structure, source: Any = None, **arguments: Any) -> Energy:
+    """Return the energy that a caller requests.
+
+    Parameters
+    ----------
+    given : Energy, result, str, callable or None
+        Energy of this structure, result with it, name of a calculator of :func:`protochain.energy`, or
+        callable as for :class:`CustomEnergy`. The default is the energy of the source, if it has one, as a
+        result has, or else of the default force field.
+    structure : Structure
+        Structure whose energy it is.
+    source : Any
+        Structure argument of the caller.
+    **arguments
+        Arguments of :func:`protochain.energy` from the caller. They replace the arguments of the source.
+
+    Returns
+    -------
+    Energy
+        The given energy, or an energy that wraps the callable.
+
+    Raises
+    ------
+    ProtochainError
+        If the value is neither, was built for other atoms, or does not return an energy and its forces.
+    """
+    if given is None:
+        given = energy(source if has_energy(source) else structure, **arguments)
+    if isinstance(given, str):
+        given = energy(source if has_energy(source) else structure, calculator=given, **arguments)
+    given = given.energy_function if has_energy(given) else given
+    if hasattr(given, "without_constants"):
+        check_is_of(given, structure)
+        return given
+    refuse_class(given, "energy")
+    if not callable(given):
+        raise ProtochainError(
+            f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"
+        )
+    custom = CustomEnergy(given)
+    check_forces(given, structure.positions, f"energy {custom.name}")
+    return custom
