@@ -94,7 +94,7 @@ def score(
 
         if len(interface or ()) > 1:
             raise ProtochainError("frames: give one ", Argument("interface"))
-        origin = structure_to_measure(reference) if reference else None
+        origin = structure_to_measure(reference, setup.keep) if reference else None
         return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
 
     of_frames.run_if_requested(
@@ -113,7 +113,7 @@ def score(
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
 
-        origin = structure_to_measure(reference) if reference else None
+        origin = structure_to_measure(reference, setup.keep) if reference else None
         jobs = [ScoreJob(*entry, (*(interface or ()),), relax, origin) for entry in files]
         results = score_files(jobs, processes)
     # Rows with their interfaces, or with the reason for a missing one.

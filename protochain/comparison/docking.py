@@ -299,7 +299,9 @@ def _molecules(s: Structure) -> list[Integers]:
 
 
 def _graph(s: Structure, atoms: Integers) -> Any:
-    """Bonds of a molecule as RDKit's. Orders are single, so that resonance is symmetric."""
+    """Bonds of a molecule as RDKit's, None of a strand. Orders are single: resonance is symmetric."""
+    if _is_nucleic(s)[atoms[0]]:
+        return None
     bonds = np.searchsorted(atoms, s.bonds[np.isin(s.bonds, atoms).all(axis=1)])
     chem = library("rdkit.Chem", EXTRA)
     mol = chem.RWMol()
@@ -328,18 +330,17 @@ def _paired_strands(
 
 
 def _numberings(
-    reference: Structure, atoms: Integers, model: Structure, model_atoms: Integers
+    reference: Structure, first: tuple[Integers, Any], model: Structure, second: tuple[Integers, Any]
 ) -> tuple[Integers, Integers]:
     """Atoms (n,) of a molecule, and those of another (m, n) in all equal orders, none of another kind."""
-    nucleic = _is_nucleic(reference)[atoms[0]], _is_nucleic(model)[model_atoms[0]]
-    if all(nucleic):
+    (atoms, graph), (model_atoms, model_graph) = first, second
+    if graph is None and model_graph is None:
         pairs = _paired_strands(reference, atoms, model, model_atoms)
         return pairs[:, 0], pairs[None, :, 1]
+    sizes = {mol and (mol.GetNumAtoms(), mol.GetNumBonds()) for mol in (graph, model_graph)}
     orders: Any = ()
-    if not any(nucleic) and len(atoms) == len(model_atoms):
-        first, second = _graph(reference, atoms), _graph(model, model_atoms)
-        if first.GetNumBonds() == second.GetNumBonds():
-            orders = second.GetSubstructMatches(first, uniquify=False, maxMatches=_MOST_ORDERS)
+    if len(sizes) == 1:
+        orders = model_graph.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
     return atoms, model_atoms[np.array(orders, dtype=np.int64)].reshape(-1, len(atoms))
 
 
@@ -347,12 +348,12 @@ def _paired_molecules(
     reference: Structure, model: Structure, protein: Integers
 ) -> Iterator[tuple[Integers, float]]:
     """Pairs (n, 2) of atoms of equal molecules, assigned by least RMSD with the pocket superposed."""
-    molecules = [_molecules(s) for s in (reference, model)]
+    molecules = [[(atoms, _graph(s, atoms)) for atoms in _molecules(s)] for s in (reference, model)]
     results = dict[tuple[int, int], tuple[Integers, float]]()
-    for i, atoms in enumerate(molecules[0]):
-        turn, shift = _pocket_motion(reference, model, protein, atoms)
-        for j, model_atoms in enumerate(molecules[1]):
-            order, orders = _numberings(reference, atoms, model, model_atoms)
+    for i, first in enumerate(molecules[0]):
+        turn, shift = _pocket_motion(reference, model, protein, first[0])
+        for j, second in enumerate(molecules[1]):
+            order, orders = _numberings(reference, first, model, second)
             if not orders.size:
                 continue
             off = model.positions[orders] @ turn.T + shift - reference.positions[order]

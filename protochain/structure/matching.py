@@ -161,18 +161,18 @@ _FARTHEST = 1000.0
 """Angstrom. Every assembly is shorter."""
 
 
-def structure_to_measure(source: Any) -> Structure:
-    """Return the structure of a measurable source, or the first model of a file."""
+def structure_to_measure(source: Any, keep: Sequence[str] | None = None) -> Structure:
+    """Return the structure of a measurable source, or the first model of a file, with hetero molecules."""
     if not isinstance(source, str | Path):
         return as_structure(source)
-    first_model = next(structure for _, structure in models_of(source, first=True))
+    first_model = next(structure for _, structure in models_of(source, True, keep))
     if isinstance(first_model, StructureError):
         raise first_model
     return first_model
 
 
 def models_of(
-    path: str | Path, first: bool = False
+    path: str | Path, first: bool = False, keep: Sequence[str] | None = None
 ) -> Iterator[tuple[int | None, Structure | StructureError]]:
     """Numbers and structures of all models of a file, or of its first. Standard input is read once."""
     source = "standard input" if Path(path) == STANDARD_INPUT else str(path)
@@ -184,7 +184,8 @@ def models_of(
     for number in [model.num for model in parsed][: 1 if first else None]:
         try:
             # Parts of strands that are far from the protein of one model are near in another.
-            yield number, as_structure(parsed, source, model=number, keep=(*defaults.KEEP, "nucleic"))
+            kinds = (*defaults.KEEP, "nucleic") if keep is None else keep
+            yield number, as_structure(parsed, source, model=number, keep=kinds)
         except OnlyAlphaError:
             yield number, alpha_trace(parsed, source, number)
         except StructureError as error:

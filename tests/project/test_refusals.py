@@ -50,8 +50,8 @@ def test_calls_are_refused(act, said):
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ("mutate {ala}", "mutate: give mutations, as A:L45F, or --scan SITES"),
-        ("mutate {ala} A:A3G --scan A", "mutate: give mutations, as A:L45F, or --scan SITES, not both"),
+        ("mutate {ala}", "give one of mutations, as A:L45F, --scan SITES, or --sequence FASTA"),
+        ("mutate {ala} A:A3G --scan A", "mutate: give one of mutations, as A:L45F, --scan SITES"),
         ("minimise {ala} --angle 0.1 --method lbfgs", "--angle: does not apply to 'lbfgs'; choose from "
          "kcm, kcm-2norm, "),
         ("simulate {ala} --thermostat none --friction 5", "--friction does not apply to thermostat none"),
