@@ -12,6 +12,7 @@ from scipy.linalg import qr
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, HingeKind, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
@@ -21,45 +22,26 @@ from protochain.mechanisms.loop_joints import DEPENDENT, LoopJoints
 WORLD = "world"
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """Bodies of a tree by name, each with axes of its own.
 
     A body's points, centre of mass and inertia are along its own axes. The frame of the
     tree has the same origin, but its z axis along the hinge.
-
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    names : tuple of str
-        Names of the bodies.
-    turn : (nb, 3, 3) float
-        Axes of the tree's frame of each body, as columns, in the body's own axes.
-    hinges : mapping
-        Name of each hinge -> number of the body beyond it.
-    q, qd : (n_q,) and (n_v,) float
-        Coordinates and velocities as built.
-    joints : LoopJoints, optional
-        Joints that close loops.
-    joint_names : tuple of str
-        Name of the joint of each of their equations.
-    gravity : (3,) float
-        Acceleration of free fall.
-    degrees : bool
-        Whether angles of hinges, and their rates, are in degrees outside.
     """
 
-    tree: Tree
-    names: tuple[str, ...]
+    tree: Tree  # Rigid bodies.
+    names: tuple[str, ...]  # Names of the bodies.
+    # (nb, 3, 3) float: Axes of the tree's frame of each body, as columns, in the body's own axes.
     turn: Floats
-    hinges: Mapping[str, int]
-    q: Floats
-    qd: Floats
-    joints: LoopJoints | None = None
-    joint_names: tuple[str, ...] = ()
-    gravity: Floats = field(default_factory=lambda: np.zeros(3))
-    degrees: bool = False
+    hinges: Mapping[str, int]  # Name of each hinge -> number of the body beyond it.
+    q: Floats  # (n_q,) float: Coordinates as built.
+    qd: Floats  # (n_v,) float: Velocities as built.
+    joints: LoopJoints | None = None  # Joints that close loops.
+    joint_names: tuple[str, ...] = ()  # Name of the joint of each of their equations.
+    gravity: Floats = field(default_factory=lambda: np.zeros(3))  # (3,) float: Acceleration of free fall.
+    degrees: bool = False  # Whether angles of hinges, and their rates, are in degrees outside.
 
     @cached_property
     def built(self) -> "State":
@@ -135,29 +117,16 @@ class Bodies:
         return np.eye(3) if b < 0 else np.asarray(self.turn[b].T)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class State:
-    """A mechanism at one moment.
+    """A mechanism at one moment."""
 
-    Parameters
-    ----------
-    bodies : Bodies
-        Bodies by name.
-    t : float
-        Time.
-    q : (n_q,) float
-        Coordinates.
-    qd : (n_v,) float
-        Velocities.
-    frames : Frames
-        Frames of the bodies.
-    """
-
-    bodies: Bodies
-    t: float
-    q: Floats
-    qd: Floats
-    frames: Frames
+    bodies: Bodies  # Bodies by name.
+    t: float  # Time.
+    q: Floats  # (n_q,) float: Coordinates.
+    qd: Floats  # (n_v,) float: Velocities.
+    frames: Frames  # Frames of the bodies.
 
     @cached_property
     def twists(self) -> Floats:

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from protochain.core.arrays import read_only
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import Load
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.contact_forces import ContactForces
@@ -18,23 +19,14 @@ from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.shapes import Ball, Obstacle, Other, finder
 
 
+@document_fields
 @dataclass(frozen=True)
 class Law:
-    """Normal force F = K d^n (1 + a d') at depth d, which never pulls.
+    """Normal force F = K d^n (1 + a d') at depth d, which never pulls."""
 
-    Parameters
-    ----------
-    stiffness : float
-        Stiffness K, force by depth to the power n.
-    exponent : float
-        Power n: 1.5 for round bodies (Hertz), 1 for a spring.
-    damping : float
-        Damping a, time by length: see :func:`lankarani_nikravesh` and :func:`flores`.
-    """
-
-    stiffness: float
-    exponent: float = 1.5
-    damping: float = 0.0
+    stiffness: float  # Stiffness K, force by depth to the power n.
+    exponent: float = 1.5  # Power n: 1.5 for round bodies (Hertz), 1 for a spring.
+    damping: float = 0.0  # Damping a, time by length: see :func:`lankarani_nikravesh` and :func:`flores`.
 
     def __post_init__(self) -> None:
         _check_numbers(self, "of a contact")
@@ -46,24 +38,18 @@ class Law:
             raise MechanicsError(f"the damping {self.damping:g} of a contact must be finite, not negative")
 
 
+@document_fields
 @dataclass(frozen=True)
 class Friction:
     """Friction of asperities: a spring and a damper from the point at which a contact began, which slips.
 
     The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above
     ``coefficient`` times the normal force: there the anchor is dragged along.
-
-    Parameters
-    ----------
-    coefficient : float
-        Largest tangential force by normal force.
-    stiffness, damping : float
-        Of the spring, k, and of the damper, c.
     """
 
-    coefficient: float
-    stiffness: float
-    damping: float = 0.0
+    coefficient: float  # Largest tangential force by normal force.
+    stiffness: float  # Stiffness k of the spring.
+    damping: float = 0.0  # Constant c of the damper.
 
     def __post_init__(self) -> None:
         _check_numbers(self, "of friction")

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.assembly import Assembly, Motion
@@ -26,24 +27,15 @@ _NEAR = 1e-9
 """Distance of points that are one, by the size of the tree."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Rod:
-    """Cylinder fixed in a body, between two of its points, to be drawn.
+    """Cylinder fixed in a body, between two of its points, to be drawn."""
 
-    Parameters
-    ----------
-    body : str
-        Name of the body, or ``"world"``.
-    a, b : (3,) float
-        Ends, in the body's axes.
-    radius : float, optional
-        Radius. By default a hundredth of the picture.
-    """
-
-    body: str
-    a: ArrayLike
-    b: ArrayLike
-    radius: float | None = None
+    body: str  # Name of the body, or ``"world"``.
+    a: ArrayLike  # (3,) float: First end, in the body's axes.
+    b: ArrayLike  # (3,) float: Second end, in the body's axes.
+    radius: float | None = None  # Radius. By default a hundredth of the picture.
 
     def __post_init__(self) -> None:
         for name in ("a", "b"):
@@ -52,23 +44,14 @@ class Rod:
             raise MechanicsError(f'the radius {self.radius:g} of a rod of "{self.body}": give one above 0')
 
 
+@document_fields
 @dataclass(frozen=True)
 class Block:
-    """Box fixed in a body, along its axes, to be drawn.
+    """Box fixed in a body, along its axes, to be drawn."""
 
-    Parameters
-    ----------
-    body : str
-        Name of the body, or ``"world"``.
-    edges : (3,) float
-        Lengths of its edges.
-    at : (3,) float
-        Its middle, in the body's axes.
-    """
-
-    body: str
-    edges: ArrayLike
-    at: ArrayLike = (0.0, 0.0, 0.0)
+    body: str  # Name of the body, or ``"world"``.
+    edges: ArrayLike  # (3,) float: Lengths of its edges.
+    at: ArrayLike = (0.0, 0.0, 0.0)  # (3,) float: Its middle, in the body's axes.
 
     def __post_init__(self) -> None:
         if np.any(numbers(self.edges, f'edges of a block of "{self.body}"') < 0.0):

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import Check
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames, Tree, algebra
@@ -60,38 +61,20 @@ class Memory(Protocol):
         """Restore the forces of a row. None restores forces without a past."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """Forces and loads of one element.
+    """Forces and loads of one element."""
 
-    Parameters
-    ----------
-    conservative : Conservative, optional
-        Part with an energy.
-    load : Load, optional
-        Part whose work is counted, under the element's name.
-    dissipates : bool
-        Whether the work of the load is dissipation.
-    inside : bool
-        Whether all of it acts between bodies of the mechanism, so that it conserves their momentum.
-    memory : Memory, optional
-        Its memory from step to step.
-    damping : Damping, optional
-        Part that is one load with the damping of all other elements.
-    friction : Rubbing, optional
-        Friction of a hinge, combined with all other friction into one load.
-    hinges : tuple of str
-        Hinges of a motor, whose torque and power :attr:`Run.motion` shows.
-    """
-
-    conservative: Conservative | None = None
-    load: Load | None = None
-    dissipates: bool = False
+    conservative: Conservative | None = None  # Part with an energy.
+    load: Load | None = None  # Part whose work is counted, under the element's name.
+    dissipates: bool = False  # Whether the work of the load is dissipation.
+    # Whether all of it acts between bodies of the mechanism, so that it conserves their momentum.
     inside: bool = False
-    memory: Memory | None = None
-    damping: Damping | None = None
-    friction: Any = None
-    hinges: tuple[str, ...] = ()
+    memory: Memory | None = None  # Its memory from step to step.
+    damping: Damping | None = None  # Part that is one load with the damping of all other elements.
+    friction: Any = None  # Friction of a hinge, combined with all other friction into one load.
+    hinges: tuple[str, ...] = ()  # Hinges of a motor, whose torque and power :attr:`Run.motion` shows.
 
 
 class Element(Protocol):
@@ -101,20 +84,15 @@ class Element(Protocol):
         """Return what acts in a mechanism with these bodies, whose names become numbers here."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Named:
-    """Part of a mechanism, as given: checked by itself, not yet bound to bodies.
-
-    Parameters
-    ----------
-    name : str
-        Name.
-    """
+    """Part of a mechanism, as given: checked by itself, not yet bound to bodies."""
 
     noun: ClassVar[str] = "element"
     """Name of its kind in messages."""
 
-    name: str
+    name: str  # Name.
 
     def __init_subclass__(cls, noun: str = "") -> None:
         """Name the kind of a class, by default as its base."""

@@ -7,6 +7,7 @@ from scipy.linalg import lu_factor, lu_solve
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import check_fields
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, Phase, StepTooLargeError
 
@@ -20,6 +21,7 @@ _NUDGE = 1e-6
 """Displacement for the derivatives by differences, in radians and sizes of the tree."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Rosenbrock(Integrator):
     """ROS2: order two, L-stable, in substeps whose error is estimated by the method of order one within.
@@ -29,14 +31,10 @@ class Rosenbrock(Integrator):
     the end: Verwer, Spee, Blom, Hundsdorfer, SIAM J. Sci. Comput. 20:1456 (1999). Of order two with any J, so
     that differences are enough. They need 2 n_v + 1 accelerations a step, and the solution O(n_v^3): for
     mechanisms of up to some hundred freedoms.
-
-    Parameters
-    ----------
-    tolerance : float
-        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree, that
-        substeps permit. Smaller motions are damped.
     """
 
+    # Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree, that
+    # substeps permit. Smaller motions are damped.
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:

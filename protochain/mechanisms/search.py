@@ -8,6 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze
 from protochain.core.compilation import njit
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 
 MOST_CELLS = 2**20
 """Cells along an axis, so that the number of a cell fits into an integer."""
@@ -160,31 +161,19 @@ def in_order(pairs: Integers, n: int) -> Integers:
     return pairs
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class BoxTree(Value):
-    """Tree of bounding boxes along the axes, each node followed by its descendants.
+    """Tree of bounding boxes along the axes, each node followed by its descendants."""
 
-    Parameters
-    ----------
-    low, high : (nodes, 3) float
-        Boxes of the nodes.
-    after : (nodes,) int
-        Next node that is not a descendant.
-    items : (nodes, 2) int
-        Items ``order[items[k, 0]:items[k, 1]]`` of leaf k, none of another node.
-    order : (n,) int
-        Items as the leaves have them.
-    item_low, item_high : (n, 3) float
-        Their boxes.
-    """
-
-    low: Floats
-    high: Floats
-    after: Integers
+    low: Floats  # (nodes, 3) float: Lowest corners of the nodes' boxes.
+    high: Floats  # (nodes, 3) float: Highest corners of the nodes' boxes.
+    after: Integers  # (nodes,) int: Next node that is not a descendant.
+    # (nodes, 2) int: Items ``order[items[k, 0]:items[k, 1]]`` of leaf k, none of another node.
     items: Integers
-    order: Integers
-    item_low: Floats
-    item_high: Floats
+    order: Integers  # (n,) int: Items as the leaves have them.
+    item_low: Floats  # (n, 3) float: Lowest corners of the items' boxes.
+    item_high: Floats  # (n, 3) float: Highest corners of the items' boxes.
 
 
 def box_tree(low: Floats, high: Floats) -> BoxTree:

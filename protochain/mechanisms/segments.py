@@ -15,6 +15,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.mechanism import Mechanism
@@ -23,26 +24,10 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 FIXED: Mapping[str, Any] = {"kind": "fixed"}
 
 
+@document_fields
 @dataclass(frozen=True)
 class Beam:
     """A uniform straight beam along x, in any consistent units.
-
-    Parameters
-    ----------
-    length : float
-        Length, with its rigid zones.
-    mass : float
-        Mass per length.
-    bending : float or (float, float)
-        Stiffness EI about y and about z.
-    twist : float
-        Stiffness GJ about x, needed only for beams that twist.
-    polar : float
-        Moment of inertia about x per length, half of which is about y and z. A beam that twists needs some.
-    rigid : float
-        Share of the length that is rigid, at each end.
-    lumped : bool
-        Whether half of the mass of each rod sits at either end, instead of being spread along it.
 
     Raises
     ------
@@ -50,12 +35,14 @@ class Beam:
         If a number is negative or not finite, or nothing is left to bend.
     """
 
-    length: float
-    mass: float
-    bending: float | tuple[float, float]
-    twist: float = 0.0
+    length: float  # Length, with its rigid zones.
+    mass: float  # Mass per length.
+    bending: float | tuple[float, float]  # Stiffness EI about y and about z.
+    twist: float = 0.0  # Stiffness GJ about x, needed only for beams that twist.
+    # Moment of inertia about x per length, half of which is about y and z. A beam that twists needs some.
     polar: float = 0.0
-    rigid: float = 0.0
+    rigid: float = 0.0  # Share of the length that is rigid, at each end.
+    # Whether half of the mass of each rod sits at either end, instead of being spread along it.
     lumped: bool = False
 
     def __post_init__(self) -> None:
@@ -87,20 +74,14 @@ class Beam:
         return self.polar * length, across, across
 
 
+@document_fields
 @dataclass(frozen=True)
 class Segments:
-    """A beam as part of a mechanism.
+    """A beam as part of a mechanism."""
 
-    Parameters
-    ----------
-    bodies, hinges : tuple of str
-        Names of its rods, and of the hinges between them, from the root outwards.
-    tip : tuple of str and (float, float, float)
-        Last rod, and the end of the beam in its axes: a point for loads, springs and the next hinge.
-    """
-
-    bodies: tuple[str, ...]
-    hinges: tuple[str, ...]
+    bodies: tuple[str, ...]  # Names of the rods, from the root outwards.
+    hinges: tuple[str, ...]  # Names of the hinges between the rods, from the root outwards.
+    # Last rod, and the end of the beam in its axes: a point for loads, springs and the next hinge.
     tip: tuple[str, tuple[float, float, float]]
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 from protochain.mechanics.multibody.kinematics import end_of
@@ -19,23 +20,14 @@ from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touchin
 from protochain.mechanisms.triangles import least_distances
 
 
+@document_fields
 @dataclass(frozen=True)
 class Ball:
-    """Sphere fixed in a body. With a radius of zero, a point, as the corner of a block.
+    """Sphere fixed in a body. With a radius of zero, a point, as the corner of a block."""
 
-    Parameters
-    ----------
-    body : str
-        Name of the body, or ``"world"``.
-    radius : float
-        Radius.
-    at : (3,) float
-        Centre, in the body's axes.
-    """
-
-    body: str
-    radius: float
-    at: ArrayLike = (0.0, 0.0, 0.0)
+    body: str  # Name of the body, or ``"world"``.
+    radius: float  # Radius.
+    at: ArrayLike = (0.0, 0.0, 0.0)  # (3,) float: Centre, in the body's axes.
 
     def __post_init__(self) -> None:
         if not isinstance(self.body, str):
@@ -45,40 +37,24 @@ class Ball:
         numbers(self.at, f'the centre of a ball of "{self.body}"')
 
 
+@document_fields
 @dataclass(frozen=True)
 class Plane:
-    """Half-space fixed in a body. All points below the plane are inside, however deep.
+    """Half-space fixed in a body. All points below the plane are inside, however deep."""
 
-    Parameters
-    ----------
-    body : str
-        Name of the body, or ``"world"``.
-    at, normal : (3,) float
-        A point of the plane and the direction out of the half-space, in the body's axes.
-    """
-
-    body: str = WORLD
-    at: ArrayLike = (0.0, 0.0, 0.0)
-    normal: ArrayLike = (0.0, 0.0, 1.0)
+    body: str = WORLD  # Name of the body, or ``"world"``.
+    at: ArrayLike = (0.0, 0.0, 0.0)  # (3,) float: A point of the plane, in the body's axes.
+    normal: ArrayLike = (0.0, 0.0, 1.0)  # (3,) float: Direction out of the half-space, in the body's axes.
 
 
+@document_fields
 @dataclass(frozen=True)
 class Surface:
-    """Triangles fixed in a body, with two sides.
+    """Triangles fixed in a body, with two sides."""
 
-    Parameters
-    ----------
-    body : str
-        Name of the body, or ``"world"``.
-    vertices : (n, 3) float
-        Corners, in the body's axes.
-    faces : (m, 3) int
-        Corners of each triangle.
-    """
-
-    body: str
-    vertices: ArrayLike
-    faces: ArrayLike
+    body: str  # Name of the body, or ``"world"``.
+    vertices: ArrayLike  # (n, 3) float: Corners, in the body's axes.
+    faces: ArrayLike  # (m, 3) int: Corners of each triangle.
 
 
 Obstacle = Plane | Surface | None

@@ -15,6 +15,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, freeze
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion.correction import correct
 from protochain.mechanics.motion.system import (
     Drift,
@@ -42,17 +43,13 @@ _NOISE = 1e-9
 """Below this a change that no longer decreases is rounding error."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Leapfrog(Integrator):
-    """Kick-drift-kick leapfrog: order two, one evaluation of the potential a step.
-
-    Parameters
-    ----------
-    drift : callable
-        Motion without potential, by default one step of the midpoint rule.
-    """
+    """Kick-drift-kick leapfrog: order two, one evaluation of the potential a step."""
 
     reversible: ClassVar[bool] = True
+    # Motion without potential, by default one step of the midpoint rule.
     drift: Drift = field(default_factory=lambda: drift)
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:

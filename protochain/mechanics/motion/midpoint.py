@@ -11,6 +11,7 @@ from scipy.sparse.linalg import LinearOperator
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import check_fields
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion.leapfrog import put_end_momenta
 from protochain.mechanics.motion.substeps import TOLERANCE
@@ -24,6 +25,7 @@ _CLOSER = 3
 """Iterations from an error of a radian in a step, times the tolerance, to one of the largest velocity."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class ImplicitMidpoint(Integrator):
     """Implicit midpoint rule: reversible and symplectic, of order two, with the potential at the midpoint.
@@ -32,16 +34,12 @@ class ImplicitMidpoint(Integrator):
     are conserved as by the leapfrog (Marsden, West, Acta Numerica 10:357, 2001). Newton-Krylov
     iteration (scipy's ``newton_krylov``) finds the displacement, with some tens of evaluations of the
     potential a step.
-
-    Parameters
-    ----------
-    tolerance : float
-        Error of the equation for the velocities, relative to the largest velocity, or to ``LEAST`` a step if
-        that is more. If rounding leaves less, relative to a radian in a step.
     """
 
     reversible: ClassVar[bool] = True
 
+    # Error of the equation for the velocities, relative to the largest velocity, or to ``LEAST`` a step if
+    # that is more. If rounding leaves less, relative to a radian in a step.
     tolerance: float = 1e-10
 
     def __post_init__(self) -> None:

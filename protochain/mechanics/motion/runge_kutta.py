@@ -5,6 +5,7 @@ from functools import partial
 from typing import ClassVar
 
 from protochain.core.checks import check_fields
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion.substeps import TOLERANCE, in_substeps
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
 from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
@@ -31,19 +32,15 @@ class RungeKutta4(Integrator):
         return system.advance(self.tableau, at, time_step)[0]
 
 
+@document_fields
 @dataclass(frozen=True)
 class DormandPrince(Integrator):
-    """Runge-Kutta method of order five with adaptive substeps.
-
-    Parameters
-    ----------
-    tolerance : float
-        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
-    """
+    """Runge-Kutta method of order five with adaptive substeps."""
 
     tableau: ClassVar[Tableau] = DORMAND_PRINCE
     order: ClassVar[int] = 5
 
+    # Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
     tolerance: float = 1e-8
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, read_only
 from protochain.core.errors import Fault, MechanicsError, ProtochainError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
@@ -63,19 +64,14 @@ class Applied(NamedTuple):
     torques: Floats | None = None
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Load:
-    """Forces that no potential gives: drives, dampers, friction, thrust.
+    """Forces that no potential gives: drives, dampers, friction, thrust."""
 
-    Parameters
-    ----------
-    applied : callable
-        Time, coordinates (n_q,), velocities (n_v,) and frames -> :class:`Applied`.
-    depends_on_velocity : bool
-        Whether it does. The leapfrog refuses such loads, since its kick would become implicit.
-    """
-
+    # Time, coordinates (n_q,), velocities (n_v,) and frames -> :class:`Applied`.
     applied: Callable[[float, Floats, Floats, Frames], Applied]
+    # Whether the velocities are used. The leapfrog refuses such loads, since its kick would be implicit.
     depends_on_velocity: bool = True
 
     def along(self, tree: Tree, time: float, q: Floats, qd: Floats, frames: Frames) -> Floats:
@@ -85,40 +81,22 @@ class Load:
         return out if torques is None else out + torques
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """Point in phase space, from which any integrator can continue.
+    """Point in phase space, from which any integrator can continue."""
 
-    Parameters
-    ----------
-    q : (n_q,) float
-        Coordinates.
-    qd : (n_v,) float
-        Velocities.
-    p : (n_v,) float
-        Canonical momenta M qd.
-    potential : float
-        Potential energy.
-    torque : (n_v,) float
-        Minus the gradient of the potential, and the loads.
-    factors : Articulated
-        Factors of the mass matrix at q, with the frames of the bodies.
-    time : float
-        Time since the start.
-    work : (k,) float
-        Work since the start, of each of the system's loads, then of its drive if it has one.
-    loads : (k, n_v) float, optional
-        Single loads as torques, then the torques of the drive. None without loads and drive.
-    """
-
-    q: Floats
-    qd: Floats
-    p: Floats
-    potential: float
-    torque: Floats
-    factors: Articulated
-    time: float = 0.0
+    q: Floats  # (n_q,) float: Coordinates.
+    qd: Floats  # (n_v,) float: Velocities.
+    p: Floats  # (n_v,) float: Canonical momenta M qd.
+    potential: float  # Potential energy.
+    torque: Floats  # (n_v,) float: Minus the gradient of the potential, and the loads.
+    factors: Articulated  # Factors of the mass matrix at q, with the frames of the bodies.
+    time: float = 0.0  # Time since the start.
+    # (k,) float: Work since the start, of each of the system's loads, then of its drive if it has one.
     work: Floats = field(default_factory=lambda: NOTHING)
+    # (k, n_v) float, optional: Single loads as torques, then the torques of the drive. None without loads and
+    # drive.
     loads: Floats | None = None
 
     @property
@@ -200,6 +178,7 @@ def refuse_departure(system: "Equations", q: Floats, start: Floats) -> None:
         raise StepTooLargeError("the time step cannot be reversed")
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Equations:
     """Equations of motion of a tree in a potential, under loads: accelerations, of any state.
@@ -207,27 +186,17 @@ class Equations:
     Runge-Kutta and Rosenbrock methods accept any of them. These are of rigid bodies. Others override the
     methods with their own.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    potential : callable
-        Energy and torques at q.
-    loads : tuple of Load
-        Forces that no potential gives.
-    drive : callable, optional
-        Motion of the tree's driven hinges, see :data:`Drive`. Velocities and accelerations must be the
-        derivatives of the coordinates: nothing else makes up for a difference.
-
     Raises
     ------
     MechanicsError
         If the tree has driven hinges and there is not a drive, or the other way round.
     """
 
-    tree: Tree
-    potential: Potential
-    loads: tuple[Load, ...] = field(default=(), kw_only=True)
+    tree: Tree  # Rigid bodies.
+    potential: Potential  # Energy and torques at q.
+    loads: tuple[Load, ...] = field(default=(), kw_only=True)  # Forces that no potential gives.
+    # Motion of the tree's driven hinges, see :data:`Drive`. Velocities and accelerations must be the
+    # derivatives of the coordinates: nothing else makes up for a difference.
     drive: Drive | None = field(default=None, kw_only=True)
 
     beyond: ClassVar[str] = "bodies that bend"

@@ -5,26 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody import algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.tree import AXES, OFFSET, PARENT, SLIDE, TURN, Q, Tree, V
 from protochain.mechanics.multibody.trigonometry import cosines_and_sines
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Frames(Value):
-    """World frames of the bodies at one q.
+    """World frames of the bodies at one q."""
 
-    Parameters
-    ----------
-    rotation : (nb, 3, 3) float
-        Axes of the bodies in the world, as columns. The third is the hinge axis.
-    origin : (nb, 3) float, nm
-        Origins of the body frames, which lie on the hinge axes.
-    """
-
+    # (nb, 3, 3) float: Axes of the bodies in the world, as columns. The third is the hinge axis.
     rotation: Floats
-    origin: Floats
+    origin: Floats  # (nb, 3) float, nm: Origins of the body frames, which lie on the hinge axes.
 
 
 WORLD: tuple[algebra.Matrix, Vector] = (algebra.IDENTITY, ZERO)

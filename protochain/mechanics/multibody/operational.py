@@ -12,6 +12,7 @@ import numpy as np
 from protochain.core import arrays
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody.algebra import Vector, cross, hinge_axis, kernel, lever
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.mechanics.multibody.kinematics import Frames, pull_back
@@ -22,19 +23,13 @@ _LOCKED = 1e300
 """Pivot of a driven hinge if ln det M is computed along it: nothing turns a hinge of this inertia."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Constraint rows on the twists of pairs of bodies: g V is the sum of wrench . twist over both.
+    """Constraint rows on the twists of pairs of bodies: g V is the sum of wrench . twist over both."""
 
-    Parameters
-    ----------
-    body : (m, 2) int
-        Bodies of each row, -1 for the world.
-    wrench : (m, 2, 6) float
-        Weights of (omega, u) of the origin of each body, world axes. Ignored for the world.
-    """
-
-    body: Integers
+    body: Integers  # (m, 2) int: Bodies of each row, -1 for the world.
+    # (m, 2, 6) float: Weights of (omega, u) of the origin of each body, world axes. Ignored for the world.
     wrench: Floats
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import BodyError, Fault, MechanicsError
+from protochain.core.settings import document_fields
 
 PARENT, Q, V = range(3)
 """Columns of :attr:`Tree.links`."""
@@ -39,6 +40,7 @@ BALL_PLACEMENT: Floats = read_only(np.roll(np.eye(3), 1, axis=0))
 """Axes y, z, x as columns: axes of each body of a ball, in the axes of the previous one."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Tree(Value):
     """Forest of rigid bodies in which every parent comes before its children.
@@ -51,33 +53,6 @@ class Tree(Value):
     without coordinates. The first two have no mass. Their rates are the angular velocity by the axes x, y and
     z of the third, relative to the parent of the first.
 
-    Parameters
-    ----------
-    parent : (nb,) int
-        Parent of each body, ``-1`` for a root. Requires ``parent[b] < b``.
-    kind : (nb,) int
-        Kind of the hinge between each body and its parent, a :class:`HingeKind`.
-    offset : (nb, 3) float, nm
-        Origin of the body's frame in the parent's frame at q = 0.
-    placement : (nb, 3, 3) float
-        Rotation of the body's frame in the parent's frame at q = 0.
-    mass, com : (nb,) float, amu, and (nb, 3) float, nm
-        Mass, and centre of mass in the body's frame. A body may be without mass, as between the two hinges
-        of a universal joint, if the outward bodies resist its hinge.
-    inertia : (nb, 3, 3) float, amu nm^2
-        Inertia tensor about the centre of mass, along the body's axes.
-    pitch : (nb,) float, nm/rad, optional
-        Translation per radian of SCREW hinges.
-    driven : (nb,) bool, optional
-        Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
-        :func:`~protochain.mechanics.multibody.forward_dynamics` needs their accelerations. None by default.
-    armature : (nb,) float, amu nm^2 (amu for slides), optional
-        Inertia of the rotor of a motor, added to the diagonal of M at every freedom of the hinge.
-        It has no weight and no momentum. Zeros by default.
-    nominal : (nb,) bool, optional
-        Bodies with an unphysical inertia that is used unchanged, as the dummy links
-        in files of robots. None by default.
-
     Raises
     ------
     MechanicsError
@@ -85,16 +60,26 @@ class Tree(Value):
         hinge has no inertia, or a driven body is not a hinge of one freedom.
     """
 
-    parent: Integers
-    kind: Integers
-    offset: Floats
-    placement: Floats
+    parent: Integers  # (nb,) int: Parent of each body, ``-1`` for a root. Requires ``parent[b] < b``.
+    kind: Integers  # (nb,) int: Kind of the hinge between each body and its parent, a :class:`HingeKind`.
+    offset: Floats  # (nb, 3) float, nm: Origin of the body's frame in the parent's frame at q = 0.
+    placement: Floats  # (nb, 3, 3) float: Rotation of the body's frame in the parent's frame at q = 0.
+    # (nb,) float, amu: Mass. A body may be without mass, as between the two hinges of a universal joint, if
+    # the outward bodies resist its hinge.
     mass: Floats
-    com: Floats
+    com: Floats  # (nb, 3) float, nm: Centre of mass in the body's frame.
+    # (nb, 3, 3) float, amu nm^2: Inertia tensor about the centre of mass, along the body's axes.
     inertia: Floats
-    pitch: Floats | None = None
+    pitch: Floats | None = None  # (nb,) float, nm/rad, optional: Translation per radian of SCREW hinges.
+    # (nb,) bool, optional: Hinges of one freedom whose motion is prescribed: solutions with M leave their
+    # freedoms out, and :func:`~protochain.mechanics.multibody.forward_dynamics` needs their accelerations.
+    # None by default.
     driven: NDArray[np.bool_] | None = None
+    # (nb,) float, amu nm^2 (amu for slides), optional: Inertia of the rotor of a motor, added to the diagonal
+    # of M at every freedom of the hinge. It has no weight and no momentum. Zeros by default.
     armature: Floats | None = None
+    # (nb,) bool, optional: Bodies with an unphysical inertia that is used unchanged, as the dummy links in
+    # files of robots. None by default.
     nominal: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:

@@ -14,28 +14,16 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.errors import BodyError, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody.kinematics import integrate as integrate_rigid
 from protochain.mechanics.multibody.tree import Tree
 from protochain.mechanisms.flexible.kernels import put_frames
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Shapes(Value):
     """Sections of a body and the shapes in which it bends.
-
-    Parameters
-    ----------
-    place : (n, 3) float
-        Centres of the sections at rest, in the body's frame.
-    mass, inertia : (n,) float and (n, 3, 3) float
-        Mass of each section, and inertia about its centre, along the body's axes at rest. A section may be
-        without either, as one that only carries another body.
-    moves, turns : (n, 3, k) float
-        Displacement and rotation vector of each section for unit amplitude of each shape.
-    shortening : (n, 3, k, k) float
-        Half of its product with two amplitudes shortens the displacement. Symmetric in the last two.
-    stiffness : (k, k) float
-        Half of its product with two amplitudes is the elastic energy.
 
     Raises
     ------
@@ -43,13 +31,17 @@ class Shapes(Value):
         If shapes of arrays do not belong together.
     """
 
-    place: Floats
+    place: Floats  # (n, 3) float: Centres of the sections at rest, in the body's frame.
+    # (n,) float: Mass of each section. A section may be without mass, as one that only carries another body.
     mass: Floats
+    # (n, 3, 3) float: Inertia of each section about its centre, along the body's axes at rest.
     inertia: Floats
-    moves: Floats
-    turns: Floats
+    moves: Floats  # (n, 3, k) float: Displacement of each section for unit amplitude of each shape.
+    turns: Floats  # (n, 3, k) float: Rotation vector of each section for unit amplitude of each shape.
+    # (n, 3, k, k) float: Half of its product with two amplitudes shortens the displacement. Symmetric in the
+    # last two.
     shortening: Floats
-    stiffness: Floats
+    stiffness: Floats  # (k, k) float: Half of its product with two amplitudes is the elastic energy.
 
     def __post_init__(self) -> None:
         n, k = len(self.place), len(self.stiffness)
@@ -70,20 +62,12 @@ class Shapes(Value):
         return len(self.stiffness)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Flexible(Value):
     """Forest of bodies of which some bend.
 
     The coordinates are the tree's, then the amplitudes of the shapes, body by body.
-
-    Parameters
-    ----------
-    tree : Tree
-        Hinges, and all bodies at rest. Only rigid bodies need mass, centre and inertia.
-    shapes : tuple of Shapes or None
-        Shapes of each body, None for a rigid one.
-    section : (nb,) int
-        Section of its parent that each body rides on, -1 for the parent's frame, which does not bend.
 
     Raises
     ------
@@ -91,8 +75,10 @@ class Flexible(Value):
         If there are not as many shapes as bodies, or a body rides on a section that is not there.
     """
 
-    tree: Tree
-    shapes: tuple[Shapes | None, ...]
+    tree: Tree  # Hinges, and all bodies at rest. Only rigid bodies need mass, centre and inertia.
+    shapes: tuple[Shapes | None, ...]  # Shapes of each body, None for a rigid one.
+    # (nb,) int: Section of its parent that each body rides on, -1 for the parent's frame, which does not
+    # bend.
     section: Integers
 
     def __post_init__(self) -> None:

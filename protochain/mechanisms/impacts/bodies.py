@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, Value, floats
 from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import velocities
 from protochain.mechanics.multibody.operational import Rows, operational_inverse
@@ -45,21 +46,16 @@ class RigidBodies:
         return operational_inverse(self.factors.tree, self.factors.frames, rows, self.factors)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Bending(Value):
     """Bodies of which some bend, at one q: input of an impact in place of factors.
 
     An instantaneous impulse moves all shapes at once. Elastic forces are finite, so they have no impulse.
-
-    Parameters
-    ----------
-    flexible, bent : Flexible, Bent
-        Bodies, and the places of their nodes. The nodes are the bodies of points of contact
-        (:meth:`Flexible.node`).
     """
 
-    flexible: Flexible
-    bent: Bent
+    flexible: Flexible  # Bodies. Their nodes are the bodies of points of contact (:meth:`Flexible.node`).
+    bent: Bent  # Places of the nodes.
 
     @classmethod
     def at(cls, flexible: Flexible, q: Floats) -> "Bending":

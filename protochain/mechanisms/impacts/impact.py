@@ -14,6 +14,7 @@ import numpy as np
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats, freeze, read_only
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanisms.impacts import complementarity
@@ -41,37 +42,23 @@ _ROUND_OFF = 1e-12
 """Of the largest inverse inertia. Smaller ones count as zero."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Impact(Value):
-    """Result of an impact.
+    """Result of an impact."""
 
-    Parameters
-    ----------
-    qd : (n_v,) float
-        Velocities after it.
-    impulse : (k, 3) float
-        Impulse on the second body of each point, world axes.
-    before, after : (k, 3) float
-        Velocities of the second body relative to the first at each point, world axes. ``before`` includes
-        external impulses.
-    compression : (k,) float
-        Normal impulse up to the end of the compression, the sum of all for points in turn.
-    loops : (m,) float
-        Impulses of the rows of the loops.
-    work : float
-        Change of the kinetic energy.
-    dissipation : float
-        Energy loss by contacts and closing loops: -P (u- + u+)/2 over their impulses P. By Poisson's and
-        Stronge's laws it is not negative. By Newton's it may be, with friction.
-    """
-
-    qd: Floats
-    impulse: Floats
+    qd: Floats  # (n_v,) float: Velocities after it.
+    impulse: Floats  # (k, 3) float: Impulse on the second body of each point, world axes.
+    # (k, 3) float: Velocities of the second body relative to the first at each point before the impact, world
+    # axes, with external impulses.
     before: Floats
-    after: Floats
+    after: Floats  # (k, 3) float: The same velocities after the impact.
+    # (k,) float: Normal impulse up to the end of the compression, the sum of all for points in turn.
     compression: Floats
-    loops: Floats
-    work: float
+    loops: Floats  # (m,) float: Impulses of the rows of the loops.
+    work: float  # Change of the kinetic energy.
+    # Energy loss by contacts and closing loops: -P (u- + u+)/2 over their impulses P. By Poisson's and
+    # Stronge's laws it is not negative. By Newton's it may be, with friction.
     dissipation: float
 
 

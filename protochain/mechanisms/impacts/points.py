@@ -9,6 +9,7 @@ from scipy.linalg import cho_solve
 from protochain.core.arrays import Floats, Integers, Value, floats, freeze, read_only
 from protochain.core.checks import brief, number
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.loops import factor_closed
 from protochain.mechanics.multibody.operational import Rows
@@ -19,24 +20,10 @@ _APART, _LOCKED = 1e-12, 1e-13
 without loops."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class ContactPoint(Value):
     """A point at which two bodies, or a body and the world, touch.
-
-    Parameters
-    ----------
-    name : str
-        Name, for messages.
-    bodies : tuple of 2 int
-        Bodies, or nodes of bodies that bend, -1 for the world.
-    point : (3,) float
-        Its world position.
-    normal : (3,) float
-        Direction from the first body to the second, in the world, of any length.
-    friction : float
-        Coulomb's coefficient.
-    restitution : float
-        Coefficient of restitution, 0 to 1.
 
     Raises
     ------
@@ -44,12 +31,12 @@ class ContactPoint(Value):
         If a number is not valid for its quantity.
     """
 
-    name: str
-    bodies: tuple[int, int]
-    point: Floats
-    normal: Floats
-    friction: float = 0.0
-    restitution: float = 0.0
+    name: str  # Name, for messages.
+    bodies: tuple[int, int]  # Bodies, or nodes of bodies that bend, -1 for the world.
+    point: Floats  # (3,) float: Its world position.
+    normal: Floats  # (3,) float: Direction from the first body to the second, in the world, of any length.
+    friction: float = 0.0  # Coulomb's coefficient.
+    restitution: float = 0.0  # Coefficient of restitution, 0 to 1.
 
     def __post_init__(self) -> None:
         for name in ("point", "normal"):
