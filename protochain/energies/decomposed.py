@@ -19,7 +19,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, distance
 from protochain.core.checks import check_arguments, concentration, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
-from protochain.core.settings import without_none
+from protochain.core.settings import document_fields, without_none
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.neighbours import partners as partners_of
 from protochain.energies.native.pairs import CLOSEST
@@ -57,22 +57,15 @@ _AWAY = 1e4
 """nm between molecules that do not interact: Born radii change by less than the last bit."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Decomposed(Value):
-    """Energy of a structure, term by term.
+    """Energy of a structure, term by term."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the energy.
-    shares : (terms, nr) float, kJ/mol
-        Share of each residue, in the order of ``TERMS``.
-    pairs : (terms, nr, nr) float, kJ/mol
-        Upper triangle: energies of two residues, on the diagonal within a residue. Empty unless requested.
-    """
-
-    structure: Structure
-    shares: Floats
+    structure: Structure  # Structure of the energy.
+    shares: Floats  # (terms, nr) float, kJ/mol: Share of each residue, in the order of ``TERMS``.
+    # (terms, nr, nr) float, kJ/mol: Upper triangle: energies of two residues, on the diagonal within a
+    # residue. Empty unless requested.
     pairs: Floats
 
     @property

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.settings import document_fields
 from protochain.energies.native.evaluate import Layout
 from protochain.energies.native.expansion import POWER, n_terms, tables
 from protochain.energies.native.layout import W, n_blocks
@@ -38,26 +39,15 @@ FAR_TERMS = _two_terms()
 """c_0 and c_1 of s^3 / 2 (c_0 / r^4 + c_1 s^2 / r^6)."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class Opening:
-    """Parameters of the accuracy of a tree.
+    """Parameters of the accuracy of a tree."""
 
-    Parameters
-    ----------
-    angle : float
-        Two nodes are far if their radii add up to less than this share of their distance.
-    order : int
-        Order of charges and Born integrals.
-    screened : float
-        Largest r^2 / (4 B B) at which f of generalised Born differs from r.
-    lower : int
-        Difference to the order of dispersion, which is lower because dispersion decays faster.
-    """
-
-    angle: float
-    order: int
-    screened: float = 8.0
-    lower: int = 2
+    angle: float  # Two nodes are far if their radii add up to less than this share of their distance.
+    order: int  # Order of charges and Born integrals.
+    screened: float = 8.0  # Largest r^2 / (4 B B) at which f of generalised Born differs from r.
+    lower: int = 2  # Difference to the order of dispersion, which is lower because dispersion decays faster.
 
 
 def same_charge(terms: Terms) -> bool:
