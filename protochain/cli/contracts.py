@@ -392,6 +392,8 @@ CONTRACTS: Mapping[str, Contract] = {
     ),
     "scan": Contract((_SCANNED,), {"--output": (_cells({OTHERS: float, "status": NotRequired[Status]}),)}),
     "info": Contract((_FACTS,)),
-    "build": Contract((_row("n_atoms n_residues output"),)),
+    "build": Contract(
+        (_row("n_atoms n_residues output"), {"results": [_row("record n_atoms n_residues output")]})
+    ),
 }  # fmt: skip
 """Contracts by command."""

@@ -11,7 +11,8 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import options
 from protochain.cli.lines import is_verbose, with_detail
-from protochain.core.checks import force_field_parts
+from protochain.core.checks import designs, force_field_parts
+from protochain.core.errors import ProtochainError
 from protochain.core.markup import plural
 
 
@@ -106,16 +107,24 @@ _DETAILS = {"n_bodies", "n_q", "n_v", "seconds_import", "seconds_preparation", "
 
 def build(
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")
+        str,
+        typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids, or a FASTA file."),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="PDB or mmCIF file. - is standard output, in PDB format.")
+        Path,
+        typer.Option(
+            "-o", "--output", help="PDB or mmCIF file, or folder for several records. - is standard output."
+        ),
     ],
     as_json: options.AsJson = False,
 ) -> None:
-    """Build an extended all-atom chain from a sequence."""
+    """Build an extended all-atom chain from a sequence, or from each record of a FASTA file."""
     from protochain.structure import from_sequence
 
+    records = designs(sequence, of_backbone=False)
+    if len(records) > 1:
+        return _build_records(sequence, records, output, as_json)
+    sequence = records[0][1] if records else sequence
     options.check_names(output, None, None, as_json)
     options.check_outputs([], [output])
     structure = from_sequence(sequence)
@@ -127,3 +136,27 @@ def build(
         where = "standard output" if str(output) == options.STANDARD_OUTPUT else output
         size = f"{plural(structure.n_residues, 'residue')}, {plural(structure.n_atoms, 'atom')}"
         print(f"written: {where} ({size})")
+
+
+def _build_records(source: str, records: list[tuple[str, str]], folder: Path, as_json: bool) -> None:
+    """Build the chain of each record of a FASTA file into a folder."""
+    from protochain.cli.rows import print_rows
+    from protochain.structure import from_sequence
+
+    if folder.suffix or folder.is_file():
+        raise ProtochainError(f"{folder}: several records require an output folder")
+    rows, structures = [], []
+    for name, letters in records:
+        try:
+            structures.append(from_sequence(letters))
+        except ProtochainError as error:
+            raise ProtochainError(f"{source}: record {name}: ", *error.parts) from error
+        size = {"n_residues": structures[-1].n_residues, "n_atoms": structures[-1].n_atoms}
+        rows.append({"record": name, "output": str(folder / f"{name}.pdb"), **size})
+    options.check_outputs([source], [row["output"] for row in rows])
+    folder.mkdir(parents=True, exist_ok=True)
+    for row, structure in zip(rows, structures, strict=True):
+        options.write_models([structure], Path(row["output"]), ".pdb", ())
+    if as_json:
+        return options.print_json({"results": rows})
+    print_rows([*rows[0]], ([*row.values()] for row in rows), texts=2)

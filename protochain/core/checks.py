@@ -309,10 +309,10 @@ def _is_file(name_of_file: str) -> bool:
     return bool(name_of_file) and len(name_of_file) < 256 and Path(name_of_file).is_file()
 
 
-def designs(specification: str) -> list[tuple[str, str]]:
-    """Unique names and sequences of the designs of a FASTA file, none of another text or of one record."""
+def designs(specification: str, of_backbone: bool = True) -> list[tuple[str, str]]:
+    """Unique names and sequences of the designs of a FASTA file, of one backbone more than one, or none."""
     records = _records(Path(specification)) if _is_file(specification) else []
-    if len(records) < 2 or not _are_designs(records):
+    if of_backbone and (len(records) < 2 or not _are_designs(records)):
         return []
     names = dict[str, str]()
     for number, (head, letters) in enumerate(records, 1):

@@ -131,3 +131,20 @@ def test_relax_and_batch_have_a_row_for_each_design(backbone, capsys):
     )
     names = [row["structure"] for row in json.loads(capsys.readouterr().out)["structures"]]
     assert names == table["structure"].tolist()
+
+
+def test_build_has_a_chain_for_each_record(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.fa").write_text(">A\nACDE\n>B other\nGAG\n")
+    assert run("build", "x.fa", "-o", "built", "--json") in (0, None)
+    rows = json.loads(capsys.readouterr().out)["results"]
+    assert [(row["record"], row["n_residues"]) for row in rows] == [("A", 4), ("B", 3)]
+    for row, letters in zip(rows, ("ACDE", "GAG"), strict=True):
+        assert "".join(STANDARD[name] for name in pc.load(row["output"]).residue_name) == letters
+    assert "output folder" in refusal("build", "x.fa", "-o", "x.pdb")
+    (tmp_path / "x.fa").write_text(">A\nAC\n>B\nGJ\n")
+    assert "x.fa: record B: sequence: letter 2 is 'J'" in refusal("build", "x.fa", "-o", "none")
+    assert not (tmp_path / "none").exists()
+    (tmp_path / "x.fa").write_text(">A\nGAG\n")
+    assert run("build", "x.fa", "-o", "one.pdb") in (0, None)
+    assert pc.load("one.pdb").n_residues == 3
