@@ -140,7 +140,8 @@ def _source(kind: type) -> str:
     """Source of a class below its name. Empty if the file of its module is missing."""
     # Much quicker than inspect.getsource, which parses the file.
     lines = linecache.getlines(getattr(sys.modules[kind.__module__], "__file__", None) or "")
-    below = itertools.dropwhile(lambda line: not re.match(rf"class {kind.__name__}\b", line), lines)
+    heads = f"class {kind.__name__}:", f"class {kind.__name__}("
+    below = itertools.dropwhile(lambda line: not line.startswith(heads), lines)
     return "".join(itertools.takewhile(lambda line: line[:1] in " )\n", itertools.islice(below, 1, None)))
 
 

@@ -9,6 +9,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats
 from protochain.core.checks import CHARGE_RULES, acidity, check_arguments, file_name, optional, path, text
 from protochain.core.errors import Argument, StructureError
+from protochain.core.settings import document_fields
 from protochain.ligands import charges as charging
 from protochain.ligands import energy, nagl, smirnoff
 from protochain.ligands.molecule import Molecule
@@ -18,28 +19,17 @@ from protochain.ligands.sources import read
 __all__ = ["Ligand", "ligand"]
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Ligand(Value):
-    """A small molecule with its parameters, see :func:`protochain.ligand`.
+    """A small molecule with its parameters, see :func:`protochain.ligand`."""
 
-    Parameters
-    ----------
-    molecule : Molecule
-        Elements, bonds, formal charges, stereo, positions and source.
-    parameters : Parameters
-        Arrays of its energy.
-    charged : tuple of Charged
-        Atoms whose formal charge the pH changed.
-    outside : tuple of str
-        Atoms outside the domain of NAGL's model. If there are any, MMFF94's charges replace the model's.
-    unsure : tuple of str
-        Atoms whose charge at the pH is uncertain: no rule covers them, and their class of sites is wide.
-    """
-
-    molecule: Molecule
-    parameters: energy.Parameters
-    charged: tuple[Charged, ...] = ()
+    molecule: Molecule  # Elements, bonds, formal charges, stereo, positions and source.
+    parameters: energy.Parameters  # Arrays of its energy.
+    charged: tuple[Charged, ...] = ()  # Atoms whose formal charge the pH changed.
+    # Atoms outside the domain of NAGL's model. If there are any, MMFF94's charges replace the model's.
     outside: tuple[str, ...] = ()
+    # Atoms whose charge at the pH is uncertain: no rule covers them, and their class of sites is wide.
     unsure: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

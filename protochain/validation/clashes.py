@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from protochain.chains.contacts import bonded_pairs
 from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure, per_structure
 from protochain.validation.layout import positions
@@ -40,23 +41,14 @@ _LENGTH_AROMATIC, _LENGTH_AMMONIUM = 0.93, 0.89
 """Angstrom from an atom to the centre of the electron cloud of its hydrogen, as Reduce places it."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Clashes(Value):
-    """Clashes of a structure.
+    """Clashes of a structure."""
 
-    Parameters
-    ----------
-    pairs : (n, 2) int
-        Atoms that clash, the worst first.
-    overlap_angstrom : (n,) float
-        Overlaps of their radii.
-    n_atoms : int
-        Number of atoms, hydrogens included.
-    """
-
-    pairs: Integers
-    overlap_angstrom: Floats
-    n_atoms: int
+    pairs: Integers  # (n, 2) int: Atoms that clash, the worst first.
+    overlap_angstrom: Floats  # (n,) float: Overlaps of their radii.
+    n_atoms: int  # Number of atoms, hydrogens included.
 
     @property
     def per_1000_atoms(self) -> float:

@@ -15,7 +15,7 @@ from protochain.core.checks import check_arguments, concentration, file_name, op
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
-from protochain.core.settings import without_none
+from protochain.core.settings import document_fields, without_none
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.decomposed import TERMS, interaction, native_of
 from protochain.energies.native import NativeEnergy
@@ -135,27 +135,10 @@ _SAE_ERROR = 10.0
 """Angstrom of predicted error below which ipSAE counts a pair: the default of Dunbrack's program."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Interface(Value):
     """Scores of an interface.
-
-    Parameters
-    ----------
-    structure : Structure
-        Complex that was scored.
-    energy_function : Energy
-        Of the complex.
-    first, second : str
-        The two sides, as given.
-    scores : mapping of str to int or float
-        The keys of ``SCORES``, ``MAKEUP`` and ``CONFIDENCES``, None without anything to measure.
-    residues : pandas.DataFrame
-        A row for each residue in contact or with buried area: ``side`` (1 or 2), ``chain``,
-        ``residue``, ``name``, its shares of the energy (``energy_kj_mol``, ``interaction_kj_mol``,
-        ``desolvation_kj_mol``), ``buried_area_angstrom2``, and how many contacts, hydrogen bonds, salt
-        bridges, clashes and unsatisfied polar atoms it has.
-    shares : (nr,) float, kJ/mol
-        Share of the energy of binding of every residue.
 
     Examples
     --------
@@ -163,13 +146,18 @@ class Interface(Value):
     True
     """
 
-    structure: Structure
-    energy_function: Energy
-    first: str
-    second: str
+    structure: Structure  # Complex that was scored.
+    energy_function: Energy  # Energy of the complex.
+    first: str  # First side, as in the call.
+    second: str  # Second side, as in the call.
+    # The keys of ``SCORES``, ``MAKEUP`` and ``CONFIDENCES``, None without anything to measure.
     scores: Mapping[str, Any]
+    # A row for each residue in contact or with buried area: ``side`` (1 or 2), ``chain``, ``residue``,
+    # ``name``, its shares of the energy (``energy_kj_mol``, ``interaction_kj_mol``, ``desolvation_kj_mol``),
+    # ``buried_area_angstrom2``, and how many contacts, hydrogen bonds, salt bridges, clashes and unsatisfied
+    # polar atoms it has.
     residues: "pd.DataFrame"
-    shares: Floats
+    shares: Floats  # (nr,) float, kJ/mol: Share of the energy of binding of every residue.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scores", MappingProxyType(dict(self.scores)))

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from protochain.core.arrays import Floats, Integers, Value, distance
 from protochain.core.errors import ProtochainError
 from protochain.core.optional_libraries import library
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.energy import strain
 from protochain.ligands.matching import inverted_atoms
@@ -44,36 +45,22 @@ POSEBUSTERS = (
 """Tests of PoseBusters' configuration ``dock``."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class LigandFound(Value):
-    """Findings of a ligand in its place.
+    """Findings of a ligand in its place."""
 
-    Parameters
-    ----------
-    residue : Residue
-        Residue as the file names it.
-    source : str
-        Source of its chemistry.
-    strain_kj_mol : float, optional
-        Energy of its bonds, angles, torsions and Lennard-Jones above the nearest minimum, in vacuum, after
-        hydrogens are put at the lowest energy. None if it is not finite.
-    contacts : int
-        Its heavy atoms within 4 angstrom of one of the protein.
-    clashes : int
-        Overlaps with the protein of 0.4 angstrom and more, as of :func:`protochain.validation.clashes`.
-    inverted : tuple of str
-        Stereocentres, and double bonds as ``C1=C2``, that differ from the source.
-    posebusters : mapping of str to bool, optional
-        Whether it passes each test of PoseBusters' configuration ``dock`` (Buttenschoen et al., Chem. Sci.
-        15:3130, 2024) with everything outside it as the receptor. None if they were not run.
-    """
-
-    residue: Residue
-    source: str
+    residue: Residue  # Residue as the file names it.
+    source: str  # Source of its chemistry.
+    # Energy of its bonds, angles, torsions and Lennard-Jones above the nearest minimum, in vacuum, after
+    # hydrogens are put at the lowest energy. None if it is not finite.
     strain_kj_mol: float | None
-    contacts: int
+    contacts: int  # Its heavy atoms within 4 angstrom of one of the protein.
+    # Overlaps with the protein of 0.4 angstrom and more, as of :func:`protochain.validation.clashes`.
     clashes: int
-    inverted: tuple[str, ...]
+    inverted: tuple[str, ...]  # Stereocentres, and double bonds as ``C1=C2``, that differ from the source.
+    # Whether it passes each test of PoseBusters' configuration ``dock`` (Buttenschoen et al., Chem. Sci.
+    # 15:3130, 2024) with everything outside it as the receptor. None if they were not run.
     posebusters: Mapping[str, bool] | None = None
 
     def __post_init__(self) -> None:

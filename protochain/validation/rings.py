@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, neighbours
+from protochain.core.settings import document_fields
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.validation.layout import positions
 
@@ -22,27 +23,16 @@ _LONG = 0.25
 """nm. Longer bonds are compared with every ring."""
 
 
+@document_fields
 @dataclass(frozen=True)
 class ThreadedRing:
-    """A ring, and a bond that goes through it.
+    """A ring, and a bond that goes through it."""
 
-    Parameters
-    ----------
-    residue : int
-        Residue of the ring, the first one if several form it.
-    atoms : tuple of int
-        Atoms of the ring, in their order around it.
-    bond : tuple of int
-        Atoms of the bond.
-    ring, through : str
-        Both in words.
-    """
-
-    residue: int
-    atoms: tuple[int, ...]
-    bond: tuple[int, int]
-    ring: str
-    through: str
+    residue: int  # Residue of the ring, the first one if several form it.
+    atoms: tuple[int, ...]  # Atoms of the ring, in their order around it.
+    bond: tuple[int, int]  # Atoms of the bond.
+    ring: str  # Name of the ring.
+    through: str  # Name of the bond.
 
     def __str__(self) -> str:
         return f"{self.through} goes through {self.ring}"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, angle, distance, read_only
 from protochain.core.graph import bond_angles
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
@@ -46,30 +47,17 @@ By convention hydrogens of files are nearer: C-H 0.93 angstrom for 1.09 (X-ray),
 _FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Strain(Value):
-    """Bond lengths and angles of heavy atoms more than four standard deviations from the force field's.
+    """Bond lengths and angles of heavy atoms more than four standard deviations from the force field's."""
 
-    Parameters
-    ----------
-    bonds : (n, 2) int
-        Atoms of the bonds, the worst first.
-    bond_deviations : (n,) float
-        In standard deviations, negative if the bond is too short.
-    angles : (m, 3) int
-        Atoms of the angles, the worst first.
-    angle_deviations : (m,) float
-        In standard deviations, negative if the angle is too small.
-    n_bonds, n_angles : int
-        Numbers of bonds and angles compared.
-    """
-
-    bonds: Integers
-    bond_deviations: Floats
-    angles: Integers
-    angle_deviations: Floats
-    n_bonds: int
-    n_angles: int
+    bonds: Integers  # (n, 2) int: Atoms of the bonds, the worst first.
+    bond_deviations: Floats  # (n,) float: In standard deviations, negative if the bond is too short.
+    angles: Integers  # (m, 3) int: Atoms of the angles, the worst first.
+    angle_deviations: Floats  # (m,) float: In standard deviations, negative if the angle is too small.
+    n_bonds: int  # Number of compared bonds.
+    n_angles: int  # Number of compared angles.
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
         """Describe each bond and angle in a line, at the positions measured: x (na, 3), nm, or its own."""

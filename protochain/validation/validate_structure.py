@@ -11,6 +11,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Value, floats
 from protochain.core.checks import flag
 from protochain.core.markup import facts, plural
+from protochain.core.settings import document_fields
 from protochain.core.timings import part
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import structure_to_measure
@@ -26,35 +27,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Validation(Value):
     """Faults of a structure, and its likeness to a reference.
-
-    Parameters
-    ----------
-    structure : Structure
-        As prepared. Its heavy atoms are at their places in the file.
-    measures : mapping of str to int or float
-        The keys of ``MEASURES``, and with a reference of ``LIKENESS``. None if a quantity cannot be
-        measured.
-    residues : pandas.DataFrame
-        A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
-        ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
-        ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
-        ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
-        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``inverted_stereocentres``, ``bond_outliers``,
-        ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
-        reference ``lddt``.
-    violations : Violations
-        As AlphaFold counts them, and covalent bonds of a wrong length.
-    findings : tuple of (int, str)
-        Index of a residue, and its fault.
-    chain_mapping : str, optional
-        Chains of the reference and their matches, as ``A:B,B:A``. None without a reference.
-    ligands : tuple of LigandFound
-        Findings of each ligand of known chemistry.
-    posebusters_missing : str
-        Reason why requested PoseBusters' tests were not run, empty if they were.
 
     Examples
     --------
@@ -62,14 +38,23 @@ class Validation(Value):
     0
     """
 
-    structure: Structure
+    structure: Structure  # As prepared. Its heavy atoms are at their places in the file.
+    # The keys of ``MEASURES``, and with a reference of ``LIKENESS``. None if a quantity cannot be measured.
     measures: Mapping[str, Any]
+    # A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
+    # ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
+    # ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
+    # ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
+    # ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``inverted_stereocentres``, ``bond_outliers``,
+    # ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
+    # reference ``lddt``.
     residues: "pd.DataFrame"
-    violations: Violations
-    findings: tuple[tuple[int, str], ...]
+    violations: Violations  # As AlphaFold counts them, and covalent bonds of a wrong length.
+    findings: tuple[tuple[int, str], ...]  # Index of a residue, and its fault.
+    # Chains of the reference and their matches, as ``A:B,B:A``. None without a reference.
     chain_mapping: str | None = None
-    ligands: tuple[LigandFound, ...] = ()
-    posebusters_missing: str = ""
+    ligands: tuple[LigandFound, ...] = ()  # Findings of each ligand of known chemistry.
+    posebusters_missing: str = ""  # Reason why requested PoseBusters' tests were not run, empty if they were.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from protochain.core.arrays import Floats, Integers, Value, freeze, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import plural
+from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.structure.molecule.residues import STANDARD, STATE_PARENT
@@ -47,33 +48,21 @@ _TABLE = Path(__file__).parent / "data" / "geometry.csv"
 """Bond lengths and angles of the amino acids."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Violations(Value):
-    """Violations of a structure, true if there is one.
+    """Violations of a structure, true if there is one."""
 
-    Parameters
-    ----------
-    bonds : (n, 2) int
-        Atoms C and N of peptide bonds of wrong length.
-    angles_ca_c_n, angles_c_n_ca : (n, 3) int
-        Atoms of wrong angles at these bonds.
-    clashes : (n, 2) int
-        Atoms of different residues that overlap.
-    within : (n, 2) int
-        Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
-    covalent : (n, 2) int
-        Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen shorter by a
-        third). All elements except metals count, in all molecules that move.
-    per_residue : (nr,) bool
-        Residues with an atom among these, for a wrong bond or angle both residues.
-    """
-
-    bonds: Integers
-    angles_ca_c_n: Integers
-    angles_c_n_ca: Integers
-    clashes: Integers
+    bonds: Integers  # (n, 2) int: Atoms C and N of peptide bonds of wrong length.
+    angles_ca_c_n: Integers  # (n, 3) int: Atoms of wrong angles CA-C-N at peptide bonds.
+    angles_c_n_ca: Integers  # (n, 3) int: Atoms of wrong angles C-N-CA at peptide bonds.
+    clashes: Integers  # (n, 2) int: Atoms of different residues that overlap.
+    # (n, 2) int: Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
     within: Integers
+    # (n, 2) int: Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen
+    # shorter by a third). All elements except metals count, in all molecules that move.
     covalent: Integers
+    # (nr,) bool: Residues with an atom among these, for a wrong bond or angle both residues.
     per_residue: NDArray[np.bool_]
 
     @property

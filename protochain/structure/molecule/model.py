@@ -15,6 +15,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import Fault, StructureError
 from protochain.core.graph import Neighbours, neighbours
 from protochain.core.markup import facts
+from protochain.core.settings import document_fields
 from protochain.ligands import Ligand
 from protochain.structure.molecule.header import Label
 from protochain.structure.molecule.links import is_metal
@@ -87,56 +88,10 @@ class Origin(Value):
         object.__setattr__(self, "charge", read_only(self.charge))
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Structure(Value):
     """Atoms of a prepared protein.
-
-    Parameters
-    ----------
-    name : str
-        Short name, from the file's name or the sequence.
-    topology : openmm.app.Topology
-        Chains, residues, atoms and bonds, with chain ids, numbers and insertion codes of the file.
-    positions : (na, 3) float, nm
-        Positions of the atoms.
-    repairs : tuple of Repair
-        Every change to the contents of the file. The text of each is a line.
-    left_out : mapping of str to int
-        Numbers of removed molecules and atoms of the file, by kind.
-    b_factor : (na,) float, angstrom^2
-        B factors of the file, NaN if it has none. An added atom has the B factor of its neighbour.
-    obstacle : (na,) bool
-        Fixed atoms: ligands, ions and other hetero molecules.
-    occupancy : (na,) float
-        Occupancies of the file. An added hydrogen has the occupancy of its parent, any other added atom 1.
-    residue_label : tuple of Label
-        ``label_asym_id`` of each residue, and its place in the sequence of the file, or empty if unknown.
-    header : str
-        Header of the file (title, cell, sequences, secondary structure), as mmCIF text.
-    model_number : int
-        Number of the model in the file.
-    ties : tuple of Tie
-        Springs between the protein and hetero molecules, part of every energy.
-    mobile : (na,) bool
-        Atoms of molecules that move with the protein: molecules with parameters in the user's force field,
-        and ligands of known chemistry.
-    links : (n, 2) int
-        Bonds of the protein to atoms outside it, coordinated metals included, the protein's atom first. Bonds
-        between residues outside it that the file states (LINK, CONECT, ``_struct_conn``) follow. Bonds with
-        a metal are coordination.
-    mirrored : (nr,) bool
-        D-amino acids. Their ``residue_name`` is the name of the mirror image. Files have the D name.
-    built : (na,) bool
-        Heavy atoms missing from the file.
-    ligands : tuple of BoundLigand
-        Mobile small molecules near the protein with parameters of their own.
-    fragments : tuple of BoundLigand
-        Residues that no template fits, with the force field of small molecules: modified, cross-linked, or
-        bonded to the protein. Capping atoms of the molecule are atoms of its neighbours, or -1.
-    glycans : mapping of int to str
-        Codes in GLYCAM-06j, as ``4YB``, of the mobile sugars of glycosylated proteins, by residue.
-    origin : Origin, optional
-        Atoms of the file, or None for a sequence.
 
     Raises
     ------
@@ -149,26 +104,47 @@ class Structure(Value):
     <Structure 1l2y: 1 chains, 20 residues, 304 atoms, 0 repairs>
     """
 
-    name: str
+    name: str  # Short name, from the file's name or the sequence.
+    # ``openmm.app.Topology``: chains, residues, atoms and bonds, with chain ids, numbers and insertion codes
+    # of the file.
     topology: Any
-    positions: Floats
-    repairs: tuple[Repair, ...] = ()
+    positions: Floats  # (na, 3) float, nm: Positions of the atoms.
+    repairs: tuple[Repair, ...] = ()  # Every change to the contents of the file. The text of each is a line.
+    # Numbers of removed molecules and atoms of the file, by kind.
     left_out: Mapping[str, int] = field(default_factory=dict)
+    # (na,) float, angstrom^2: B factors of the file, NaN if it has none. An added atom has the B factor of
+    # its neighbour.
     b_factor: Floats = field(default_factory=lambda: np.empty(0))
+    # (na,) bool: Fixed atoms: ligands, ions and other hetero molecules.
     obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    # (na,) float: Occupancies of the file. An added hydrogen has the occupancy of its parent, any other added
+    # atom 1.
     occupancy: Floats = field(default_factory=lambda: np.empty(0))
+    # ``label_asym_id`` of each residue, and its place in the sequence of the file, or empty if unknown.
     residue_label: tuple[Label, ...] = ()
-    header: str = ""
-    model_number: int = 1
-    ties: tuple[Tie, ...] = ()
+    header: str = ""  # Header of the file (title, cell, sequences, secondary structure), as mmCIF text.
+    model_number: int = 1  # Number of the model in the file.
+    ties: tuple[Tie, ...] = ()  # Springs between the protein and hetero molecules, part of every energy.
+    # (na,) bool: Atoms of molecules that move with the protein: molecules with parameters in the user's force
+    # field, and ligands of known chemistry.
     mobile: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    # (n, 2) int: Bonds of the protein to atoms outside it, coordinated metals included, the protein's atom
+    # first. Bonds between residues outside it that the file states (LINK, CONECT, ``_struct_conn``) follow.
+    # Bonds with a metal are coordination.
     links: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    # (nr,) bool: D-amino acids. Their ``residue_name`` is the name of the mirror image. Files have the D
+    # name.
     mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    # (na,) bool: Heavy atoms missing from the file.
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    # Mobile small molecules near the protein with parameters of their own.
     ligands: tuple[BoundLigand, ...] = ()
+    # Residues that no template fits, with the force field of small molecules: modified, cross-linked, or
+    # bonded to the protein. Capping atoms of the molecule are atoms of its neighbours, or -1.
     fragments: tuple[BoundLigand, ...] = ()
+    # Codes in GLYCAM-06j, as ``4YB``, of the mobile sugars of glycosylated proteins, by residue.
     glycans: Mapping[int, str] = field(default_factory=dict)
-    origin: Origin | None = None
+    origin: Origin | None = None  # Atoms of the file, or None for a sequence.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
