@@ -200,7 +200,6 @@ class Setup(Settings):
         "Chain ends to cap with ACE and NME: none, breaks, ends (unless the file's sequence ends there), or "
         "all.",
         checks.one_of(defaults.CAPPED),
-        doc="Ends of chains with caps in place of charged termini, as in :func:`protochain.load`.",
     )
     # Residues whose side chains are rebuilt together from the backbone alone: ``all``, or a selection.
     rebuild_side_chains: str = setting("", "", checks.text)

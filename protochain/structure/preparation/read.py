@@ -255,9 +255,8 @@ def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
             f"{first.seqid} ({gap:.1f} angstrom); model the missing residues, or leave out ",
             Argument("strict", True),
         )
-    yield Repair.of(
-        Kind.GAP, last=last.residue, first=first.residue, length=gap, goes_on=_goes_on(last, first)
-    )
+    goes_on = _goes_on(last, first)
+    yield Repair.of(Kind.GAP, last=last.residue, first=first.residue, length=gap, goes_on=goes_on)
 
 
 def _goes_on(last: Member, first: Member) -> bool:

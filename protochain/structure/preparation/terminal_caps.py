@@ -90,9 +90,8 @@ def _ends(draft: Draft) -> Iterator[_End]:
     """Yield the ends of chains without a cap, a ring closure, or another bond."""
     gaps = [repair for repair in draft.repairs if repair.kind is Kind.GAP and repair.facts["goes_on"]]
     for part in (part for part in draft.parts if not (part.obstacle or part.cyclic)):
-        for cap, member, side in zip(
-            _CAPS, (part.members[0], part.members[-1]), ("first", "last"), strict=True
-        ):
+        for cap, k, side in zip(_CAPS, (0, -1), ("first", "last"), strict=True):
+            member = part.members[k]
             ends = [gap for gap in gaps if gap.facts[side].place == member.residue.place]
             if cap.name == "ACE" and member.name != "PRO":
                 cap = cap._replace(opposite=())
@@ -129,15 +128,11 @@ def _build(draft: Draft, end: _End, length: int) -> Generator[Repair, None, Memb
         oxygen.pos = gemmi.Position(*np.round(turned["O"][chosen], 4).tolist())
         yield Repair.of(Kind.OXYGEN_TURNED, residue=member.residue)
     charged = member.atom("N" if cap.step < 0 else "OXT")
-    member.atoms = [
-        p
-        for p in member.atoms
-        if charged is None
-        or not ((p.is_hydrogen() and p.pos.dist(charged.pos) < _BONDED) or p.name == charged.name == "OXT")
-    ]
-    atoms = [
-        atom(name, name[0], np.round(p[chosen], 4).tolist(), member.atoms[0].b_iso) for name, p in x.items()
-    ]
+    if charged is not None:
+        light = {p.name for p in member.atoms if p.is_hydrogen() and p.pos.dist(charged.pos) < _BONDED}
+        member.atoms = [p for p in member.atoms if p.name not in light | ({charged.name} - {"N"})]
+    b_iso = member.atoms[0].b_iso
+    atoms = [atom(name, name[0], np.round(p[chosen], 4).tolist(), b_iso) for name, p in x.items()]
     # The number next to the residue, or the lower one of both with an insertion code if it is used.
     used = {m.seqid for m in draft.members if m.chain_id == member.chain_id}
     number = int(member.number) + cap.step
