@@ -25,13 +25,13 @@ class Calculator(NamedTuple):
     module: str
     extra: str
     build: Callable[[Any, int], Any]  # Module and total charge, e -> calculator.
-    largest: int  # Number of atoms that it computes in some seconds.
+    largest: int  # Largest number of atoms that it accepts.
     is_neutral: bool = False  # Whether it was fitted to neutral molecules only.
 
 
 CALCULATORS = {
     "xtb": Calculator(
-        "tblite.ase", "xtb", lambda m, q: m.TBLite(method="GFN2-xTB", charge=q, guess="eeq", verbosity=0), 500
+        "tblite.ase", "xtb", lambda m, q: m.TBLite(method="GFN2-xTB", charge=q, guess="eeq", verbosity=0), 200
     ),
     "aimnet2": Calculator(
         "aimnet.calculators", "aimnet2", lambda m, q: m.AIMNet2ASE("aimnet2", charge=q), 2000
