@@ -145,7 +145,7 @@ def _build_records(source: str, records: list[tuple[str, str]], folder: Path, as
 
     if folder.suffix or folder.is_file():
         raise ProtochainError(f"{folder}: several records require an output folder")
-    rows, structures = [], []
+    rows, structures = list[dict[str, Any]](), []
     for name, letters in records:
         try:
             structures.append(from_sequence(letters))
