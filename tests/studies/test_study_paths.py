@@ -9,7 +9,7 @@ from fixtures.samples import ROOT
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from bench.studies import kcm_cases, paths
+from bench.studies import kcm_cases, lowest, paths
 from bench.studies.kcm_cases import LEFT, Case, measured
 
 CASE = Case("gag", "GAG", False, "phi psi chi", "obc2", "extended", 0)
@@ -91,7 +91,7 @@ def test_a_study_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
 
 
 def test_paths_of_the_pages_end_near_the_minima_of_the_runs():
-    rows = paths.stored(RESULTS / "kcm_paths.csv")
+    rows = lowest.stored(RESULTS / "kcm_paths.csv", paths.COLUMNS)
     runs = pd.read_csv(RESULTS / "kcm_runs.csv", converters={"protein": str})
     is_one = (runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["seed"] == 0)
     runs = runs[is_one & (runs["start"] == "extended")].set_index(["protein", "method"])

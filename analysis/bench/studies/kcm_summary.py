@@ -134,7 +134,8 @@ def write(
     if not made:
         return
     if (output / "paths.csv").exists():
-        rows, points = paths.stored(output / "paths.csv"), pd.read_csv(output / "path_points.csv")
+        rows = lowest.stored(output / "paths.csv", paths.COLUMNS)
+        points = pd.read_csv(output / "path_points.csv")
         made["methods"] = methods(runs, made["above"], rows)
         save(output, {"kcm-paths.png": kcm_plots.plot_paths(points, rows)})
     save(output, {f"{name}.csv": table for name, table in made.items()})
