@@ -4,6 +4,7 @@ from typing import Any
 
 from protochain.core.checks import refuse_class
 from protochain.core.errors import ProtochainError
+from protochain.energies.calculators import CALCULATORS
 from protochain.energies.custom import CustomEnergy, check_forces
 from protochain.energies.factory import energy, has_energy
 from protochain.energies.protocol import Energy, check_is_of
@@ -38,7 +39,7 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **arguments:
     """
     if given is None:
         given = energy(source if has_energy(source) else structure, **arguments)
-    if isinstance(given, str):
+    if isinstance(given, str) and given in CALCULATORS:
         given = energy(source if has_energy(source) else structure, calculator=given, **arguments)
     given = given.energy_function if has_energy(given) else given
     if hasattr(given, "without_constants"):
@@ -47,7 +48,8 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **arguments:
     refuse_class(given, "energy")
     if not callable(given):
         raise ProtochainError(
-            f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"
+            f"energy {given!r}: give pc.energy(structure), a callable x -> (energy, forces), or one of "
+            f"{', '.join(CALCULATORS)}"
         )
     custom = CustomEnergy(given)
     check_forces(given, structure.positions, f"energy {custom.name}")
