@@ -68,7 +68,8 @@ def test_options_have_the_defaults_of_the_setup(command):
 def test_an_option_has_the_name_of_its_argument_first_and_then_the_former_one(field, former, commands):
     for command in commands.split():
         (option,) = [option for option in COMMANDS[command].params if option.name == field]
-        assert option.opts == [f"--{field}", f"--{former}"], command
+        assert option.opts[:2] == [f"--{field}", f"--{former}"], command
+        assert option.opts[2:] == ["--ligand-poses"] * (field == "ligands"), command
 
 
 def test_calls_have_the_defaults_of_the_setup():
