@@ -183,7 +183,7 @@ class ScoreFrames(Task):
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Find the sides, and build the energy."""
-        from protochain.comparison.docking import docking
+        from protochain.comparison.docking import Pairing, docking
 
         pairs = [split_sides(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
@@ -197,7 +197,7 @@ class ScoreFrames(Task):
             if self.relax:
                 frame = relax_structure(frame, energy, RelaxSettings()).structure
             row = score_sides(frame, energy, *pairs[0], parts).record()
-            row |= docking(self.reference, frame, *pairs[0]) if self.reference else {}
+            row |= docking(Pairing.of(self.reference, frame), *pairs[0]) if self.reference else {}
             return {key: row[key] for key in self.columns}, None
 
         return act

@@ -273,7 +273,7 @@ class _JobInput:
 
     def job(self) -> Job:
         """Job of the input, without a name."""
-        return Job("", self.path.absolute(), self.settings, _key(self.path, self.settings))
+        return Job("", self.path.absolute(), self.settings, _key(self.path, self.settings, self.pose))
 
 
 def find_jobs(
@@ -315,7 +315,7 @@ def find_jobs(
     ]
     if manifest:
         inputs_found += _from_manifest(manifest, settings)
-    unique: dict[tuple[Path, BatchSettings], _JobInput] = {}
+    unique: dict[tuple[Path, BatchSettings, str], _JobInput] = {}
     for job_input in (
         job_input
         for one in inputs_found
@@ -323,7 +323,8 @@ def find_jobs(
         for design in _designs(with_pose)
         for job_input in _models(design)
     ):
-        unique.setdefault((job_input.path.absolute(), job_input.settings), job_input)
+        # Designs with equal letters are separate.
+        unique.setdefault((job_input.path.absolute(), job_input.settings, job_input.pose), job_input)
     inputs_found = list(unique.values())
     for path in (*(job_input.path for job_input in inputs_found), *([manifest] if manifest else [])):
         if _is_inside(path, output):
@@ -489,7 +490,7 @@ def _hash(path: Path) -> str:
         return ""
 
 
-def _key(path: Path, settings: BatchSettings) -> str:
+def _key(path: Path, settings: BatchSettings, pose: str) -> str:
     hashes = "".join(map(_hash, _files(settings.setup)))
-    parts = [version("protochain"), _hash(path), settings.record(), hashes]
+    parts = [version("protochain"), _hash(path), settings.record(), hashes, *([pose] if pose else [])]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

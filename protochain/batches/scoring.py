@@ -37,7 +37,7 @@ class ScoreJob:
 
     def run(self, threads: int | None) -> Iterator[Scored]:
         """Score each interface."""
-        from protochain.comparison.docking import docking
+        from protochain.comparison.docking import Pairing, docking
 
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
@@ -50,9 +50,10 @@ class ScoreJob:
             energy, confidences = as_native(setup.energy(structure)), read_scores(confidence_files(self.path))
             if self.relax:
                 structure = relax_structure(structure, energy, RelaxSettings()).structure
+            pairing = Pairing.of(self.reference, structure) if self.reference else None
             for pair in pairs:
                 interface = score_sides(structure, energy, *pair, sides(structure, *pair), confidences)
-                deviations = docking(self.reference, structure, *pair) if self.reference else {}
+                deviations = docking(pairing, *pair) if pairing else {}
                 yield self.label, replace(interface, scores={**interface.scores, **deviations})
         except Exception as error:
             message = reason(error, self.path)[1]

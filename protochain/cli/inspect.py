@@ -143,8 +143,7 @@ def _build_records(source: str, records: list[tuple[str, str]], folder: Path, as
     from protochain.cli.rows import print_rows
     from protochain.structure import from_sequence
 
-    if folder.suffix or folder.is_file():
-        raise ProtochainError(f"{folder}: several records require an output folder")
+    options.check_folder(folder, "records")
     rows, structures = list[dict[str, Any]](), []
     for name, letters in records:
         try:

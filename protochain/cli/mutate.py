@@ -148,8 +148,7 @@ def _designs(
 
     stem, suffix = options.named_after(source)
     folder = output or Path(f"{stem}.mutants")
-    if folder.is_file() or folder.suffix in (".csv", ".pdb", ".cif"):
-        raise ProtochainError(f"{folder}: several designs require an output folder")
+    options.check_folder(folder, "designs")
     outputs = {folder / f"{name}{suffix}": (name, letters) for name, letters in several}
     table = folder / "mutants.csv"
     options.check_outputs([source], [*outputs, table], setup, force, new=[] if force else [*outputs, table])

@@ -395,6 +395,15 @@ def check_outputs(
         tell(Kind.CHANGE, f"{existing[0]}{further}: will be replaced")
 
 
+def check_folder(folder: Path, contents: str) -> None:
+    """Raise if the output of several results is named like a file, or is standard output."""
+    from protochain.structure.formats.files import format_of
+
+    is_file = folder.is_file() or format_of(folder) or folder.suffix == ".csv"
+    if is_file or str(folder) == STANDARD_OUTPUT:
+        raise ProtochainError(f"{folder}: several {contents} require an output folder")
+
+
 def check_names(
     output: Path, report: Path | None, ligands: Path | None, as_json: bool, proteins: Path | None = None
 ) -> None:

@@ -238,13 +238,11 @@ def _several(
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
     from protochain.core.storage import write_text
-    from protochain.structure.formats.files import format_of
     from protochain.structure.ligand_files import check_ligand_file
     from protochain.structure.write import check_format, save_proteins
 
     folder = Path("relaxed") if output is None else output
-    if folder.is_file() or format_of(folder):
-        raise ProtochainError(f"{folder}: several structures require an output folder")
+    options.check_folder(folder, "structures")
     if ligand_out:
         check_ligand_file(ligand_out)
     if protein_out:

@@ -1,5 +1,6 @@
 """Quality of a model of a complex: DockQ of its interfaces, and the places of its ligands."""
 
+import itertools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from protochain.core.lazy_pandas import pd
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure import Structure
-from protochain.structure.matching import Match, match, pair_atoms, structure_to_measure
+from protochain.structure.matching import Match, matches, pair_atoms, structure_to_measure
 from protochain.structure.molecule.residues import NUCLEOTIDES, STANDARD
 from protochain.structure.select import is_water, sides, touching_chains
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
@@ -83,8 +84,10 @@ def complex_quality(reference: Any, model: Any) -> dict[str, Any]:
     dict
         Means over interfaces: ``dockq``, ``fnat``, ``irms_angstrom``, ``lrms_angstrom``. The ``lddt`` of all
         amino acids. Means over ligands: ``lddt_pli``, ``ligand_rmsd_angstrom``. ``chain_mapping`` as in
-        :func:`protochain.rmsd`. Tables (pandas.DataFrame) ``interfaces``, with a row for each pair of the
-        reference's chains in contact, and ``ligands``. Numbers are None without anything to measure.
+        :func:`protochain.rmsd`, but a symmetric complex has the order that its ligands fit best. Tables
+        (pandas.DataFrame) ``interfaces``, with a row for each pair of chains that are in contact in the
+        reference and present in the model, and ``ligands``. Ligands with other atoms or bonds are skipped.
+        Numbers are None without anything to measure.
 
     Raises
     ------
@@ -102,8 +105,7 @@ def complex_quality(reference: Any, model: Any) -> dict[str, Any]:
     1.0
     """
     reference, model = structure_to_measure(reference), structure_to_measure(model)
-    matched = match(reference, model)
-    pairing = Pairing.of(reference, model, matched)
+    pairing = Pairing.of(reference, model)
     ends = zip((reference, model), pairing.atoms.T, strict=True)
     names = dict(zip(*(s.residue_chain[s.atom_residue[k]] for s, k in ends), strict=True))
     rows = []
@@ -112,11 +114,11 @@ def complex_quality(reference: Any, model: Any) -> dict[str, Any]:
             model_interface = f"{names[first]}:{names[second]}"
             rows.append({"interface": f"{first}:{second}", "model_interface": model_interface, **values})
     interfaces = pd.DataFrame(rows, columns=["interface", "model_interface", *[*QUALITY][:4]])
-    ligands = pd.DataFrame(pairing.ligand_rows).drop(columns="residue", errors="ignore")
+    ligands = pd.DataFrame(pairing.ligand_rows, columns=["ligand", "model_ligand", *[*QUALITY][5:]])
     means = {**interfaces.mean(numeric_only=True), **ligands.mean(numeric_only=True), "lddt": pairing.lddt}
     numbers = {key: _plain(means.get(key)) for key in QUALITY}
-    tables = {"chain_mapping": matched.chain_mapping, "interfaces": interfaces, "ligands": ligands}
-    return numbers | tables
+    mapping = pairing.matched.chain_mapping
+    return numbers | {"chain_mapping": mapping, "interfaces": interfaces, "ligands": ligands}
 
 
 def is_complex(reference: Structure) -> bool:
@@ -133,9 +135,9 @@ def is_complex(reference: Structure) -> bool:
     return True
 
 
-def docking(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float | None]:
+def docking(pairing: "Pairing", first: str, second: str) -> dict[str, float | None]:
     """Columns ``DOCKING`` of two sides of a model. Sides without amino acids have no C-alpha RMSD."""
-    pairing = Pairing.of(reference, model, match(reference, model))
+    reference, model = pairing.reference, pairing.model
     masks = pairing.reference_sides(sides(model, first, second))
     is_alpha = reference.atom_name[pairing.atoms[:, 0]] == "CA"
     i, j = (pairing.atoms[is_alpha & mask[pairing.residues]].T for mask in masks)
@@ -146,7 +148,7 @@ def docking(reference: Structure, model: Structure, first: str, second: str) -> 
     values = [rmsd_angstrom(x, fixed), rmsd_angstrom(moved, mobile)]
     values.append(deviation_angstrom(moved @ turn.T + shift, mobile) if len(x) else np.nan)
     rows = [row for row in pairing.ligand_rows if (masks[0] | masks[1])[row["residue"]]]
-    means = {key: np.mean([row[key] for row in rows]) for key in ("lddt_pli", "ligand_rmsd_angstrom") if rows}
+    means = pd.DataFrame(rows, columns=[*QUALITY][5:]).astype(float).mean().to_dict()
     columns = dict(zip(DOCKING, values, strict=False)) | pairing.dockq(masks) | means | {"lddt": pairing.lddt}
     return {key: _plain(columns.get(key)) for key in DOCKING}
 
@@ -161,20 +163,27 @@ class Pairing(Value):
 
     reference: Structure
     model: Structure
+    matched: Match
     atoms: Integers  # Of proteins and strands.
     ligands: tuple[tuple[Integers, float], ...]  # With RMSDs in angstrom, the pocket superposed.
 
     @classmethod
-    def of(cls, reference: Structure, model: Structure, matched: Match) -> "Pairing":
-        """Pair atoms of matched residues by name. Pair other molecules by their bonds and places."""
-        residues = matched.reference, matched.model
-        atoms = pair_atoms(reference, model, residues, _is_heavy(reference) & ~reference.kept)
-        atoms = atoms[~model.built[atoms[:, 1]]]
-        pairs = [*_paired_molecules(reference, model, atoms)]
-        strands = [_is_nucleic(reference)[molecule[0, 0]] for molecule, _ in pairs]
-        polymers = [atoms, *(pair[0] for pair, nucleic in zip(pairs, strands, strict=True) if nucleic)]
-        ligands = (pair for pair, nucleic in zip(pairs, strands, strict=True) if not nucleic)
-        return cls(reference, model, np.vstack(polymers), tuple(ligands))
+    def of(cls, reference: Structure, model: Structure) -> "Pairing":
+        """Pair atoms of matched residues by name. Pair other molecules by their bonds and places.
+
+        The chains of a symmetric complex are in the order in which most ligands are in place.
+        """
+        numberings, pairings = _numberings(reference, model), list[Pairing]()
+        # Without ligands the least RMSD decides.
+        for matched in itertools.islice(matches(reference, model), None if numberings else 1):
+            residues = matched.reference, matched.model
+            atoms = pair_atoms(reference, model, residues, _is_heavy(reference) & ~reference.kept)
+            atoms = atoms[~model.built[atoms[:, 1]]]
+            molecules = [*_paired_molecules(reference, model, atoms, numberings)]
+            strands = [pairs for pairs, _ in molecules if _is_nucleic(reference)[pairs[0, 0]]]
+            ligands = tuple(entry for entry in molecules if not _is_nucleic(reference)[entry[0][0, 0]])
+            pairings.append(cls(reference, model, matched, np.vstack([atoms, *strands]), ligands))
+        return min(pairings, key=lambda pairing: sum(off for _, off in pairing.ligands))
 
     @property
     def residues(self) -> Integers:
@@ -235,9 +244,10 @@ class Pairing(Value):
         order = (0, 1) if sizes[0] > sizes[1] else (1, 0)
         arrays = [self._array(column)[chosen[side]] for column in (0, 1) for side in order]
         peppr = library("peppr.dockq", EXTRA)
-        fnat = len(contacts & of_model) / len(contacts)
-        parts = peppr.DockQ(fnat, 0.0, peppr.irmsd(*arrays), peppr.lrmsd(*arrays))
-        return dict(zip(QUALITY, map(float, (parts.score, fnat, parts.irmsd, parts.lrmsd)), strict=False))
+        fnat, off = len(contacts & of_model) / len(contacts), peppr.irmsd(*arrays)
+        # A model without the residues of the interface has no RMSD there, which is not a good one.
+        parts = peppr.DockQ(fnat, 0.0, off if np.isfinite(off) else np.inf, peppr.lrmsd(*arrays))
+        return dict(zip(QUALITY, map(float, (parts.score, fnat, off, parts.lrmsd)), strict=False))
 
     def _array(self, column: int, ligand: Integers | None = None) -> Any:
         """Atoms of one of both for peppr, with names and residues of the reference, and with a ligand."""
@@ -329,41 +339,44 @@ def _paired_strands(
     return pairs[~model.built[pairs[:, 1]]]
 
 
-def _numberings(
-    reference: Structure, first: tuple[Integers, Any], model: Structure, second: tuple[Integers, Any]
-) -> tuple[Integers, Integers]:
-    """Atoms (n,) of a molecule, and those of another (m, n) in all equal orders, none of another kind."""
-    (atoms, graph), (model_atoms, model_graph) = first, second
-    if graph is None and model_graph is None:
-        pairs = _paired_strands(reference, atoms, model, model_atoms)
-        return pairs[:, 0], pairs[None, :, 1]
-    sizes = {mol and (mol.GetNumAtoms(), mol.GetNumBonds()) for mol in (graph, model_graph)}
-    orders: Any = ()
-    if len(sizes) == 1:
-        orders = model_graph.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
-    return atoms, model_atoms[np.array(orders, dtype=np.int64)].reshape(-1, len(atoms))
+def _numberings(reference: Structure, model: Structure) -> dict[tuple[int, int], tuple[Integers, Integers]]:
+    """Atoms (n,) of molecules i of the reference, and (m, n) of equal ones j of the model, in all orders."""
+    graphs = [[(atoms, _graph(s, atoms)) for atoms in _molecules(s)] for s in (reference, model)]
+    numberings = {}
+    for (i, (atoms, graph)), (j, (model_atoms, model_graph)) in itertools.product(*map(enumerate, graphs)):
+        if graph is None or model_graph is None:
+            same = graph is model_graph
+            pairs = _paired_strands(reference, atoms, model, model_atoms) if same else np.empty((0, 2), int)
+            order, orders = pairs[:, 0], pairs[None, :, 1]
+        else:
+            sizes = {(mol.GetNumAtoms(), mol.GetNumBonds()) for mol in (graph, model_graph)}
+            places: Any = ()
+            if len(sizes) == 1:
+                places = model_graph.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
+            order = atoms
+            orders = model_atoms[np.array(places, dtype=np.int64)].reshape(-1, len(atoms))
+        if orders.size:
+            numberings[i, j] = order, orders
+    return numberings
 
 
 def _paired_molecules(
-    reference: Structure, model: Structure, protein: Integers
-) -> Iterator[tuple[Integers, float]]:
+    reference: Structure, model: Structure, protein: Integers,
+    numberings: Mapping[tuple[int, int], tuple[Integers, Integers]],
+) -> Iterator[tuple[Integers, float]]:  # fmt: skip
     """Pairs (n, 2) of atoms of equal molecules, assigned by least RMSD with the pocket superposed."""
-    molecules = [[(atoms, _graph(s, atoms)) for atoms in _molecules(s)] for s in (reference, model)]
     results = dict[tuple[int, int], tuple[Integers, float]]()
-    for i, first in enumerate(molecules[0]):
-        turn, shift = _pocket_motion(reference, model, protein, first[0])
-        for j, second in enumerate(molecules[1]):
-            order, orders = _numberings(reference, first, model, second)
-            if not orders.size:
-                continue
-            off = model.positions[orders] @ turn.T + shift - reference.positions[order]
-            square = (off**2).sum(axis=2).mean(axis=1)
-            best = int(square.argmin())
-            distance = ANGSTROM_PER_NM * float(np.sqrt(square[best]))
-            results[i, j] = np.column_stack([order, orders[best]]), distance
+    for place, (order, orders) in numberings.items():
+        turn, shift = _pocket_motion(reference, model, protein, order)
+        square = ((model.positions[orders] @ turn.T + shift - reference.positions[order]) ** 2).sum(axis=2)
+        best = int(square.mean(axis=1).argmin())
+        distance = ANGSTROM_PER_NM * float(np.sqrt(square[best].mean()))
+        results[place] = np.column_stack([order, orders[best]]), distance
+    if not results:
+        return
     # As many as possible are assigned.
-    beyond = 1.0 + 2.0 * len(molecules[0]) * max((off for _, off in results.values()), default=0.0)
-    cost = np.full((len(molecules[0]), len(molecules[1])), beyond)
+    shape = 1 + np.max([*results], axis=0)
+    cost = np.full(shape, 1.0 + 2.0 * shape[0] * max(off for _, off in results.values()))
     for place, (_, off) in results.items():
         cost[place] = off
     assigned = zip(*(index.tolist() for index in linear_sum_assignment(cost)), strict=True)

@@ -289,79 +289,107 @@ def file_name(value: Any, name: str) -> str:
 def sequences(value: Any, name: str) -> str:
     """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file.
 
-    A record is a chain. Records of ProteinMPNN and LigandMPNN are designs of all chains, and so are records
-    with ``/`` or ``:`` between chains. ``FILE#2`` is the second design. The name of a file of several designs
-    stays: :func:`designs` reads it.
+    Records are chains, or designs of all chains. ``FILE#chains`` and ``FILE#designs`` state which, and
+    ``FILE#2`` is the second design. Without a statement, records with titles of ProteinMPNN or LigandMPNN are
+    designs, and so are records with ``/`` or ``:`` between chains. Records of different lengths, or with
+    names of chains, are chains. All others are refused. The name of a file of several designs stays:
+    :func:`designs` reads it.
     """
     specification = text(str(value) if isinstance(value, Path) else value, name).strip()
-    file, sign, number = (specification, "", "") if _is_file(specification) else specification.rpartition("#")
+    file, part = _file_and_part(specification)
     if designs(specification):
         return specification
-    if _is_file(file) and (not sign or number.isdecimal()):
-        specification = _read_fasta(Path(file), int(number or 0), name)
+    if file:
+        specification = _read_fasta(file, part, name)
     if specification and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", specification.upper()):
         raise refusal(name, brief(value), "give a FASTA file, or letters, with / between chains")
     entries = (entry.rpartition("=") for entry in specification.split("/"))
     return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in entries)
 
 
-def _is_file(name_of_file: str) -> bool:
-    return bool(name_of_file) and len(name_of_file) < 256 and Path(name_of_file).is_file()
+def _file_and_part(specification: str) -> tuple[Path | None, str]:
+    """FASTA file, and ``chains``, ``designs`` or the number of a record after ``#``."""
+    names = specification, *specification.rpartition("#")[::2]
+    is_file = [0 < len(name) < 256 and Path(name).is_file() for name in names[:2]]
+    if is_file[0]:
+        return Path(specification), ""
+    is_part = names[2].isdecimal() or names[2] in (_CHAINS, _DESIGNS)
+    return (Path(names[1]), names[2]) if is_file[1] and is_part else (None, "")
 
 
 def designs(specification: str, of_backbone: bool = True) -> list[tuple[str, str]]:
     """Unique names and sequences of the designs of a FASTA file, of one backbone more than one, or none."""
-    records = _records(Path(specification)) if _is_file(specification) else []
-    if of_backbone and (len(records) < 2 or not _are_designs(records)):
+    file, part = _file_and_part(specification)
+    records = _records(file) if file else []
+    is_stated = part == _DESIGNS or (not part and _are_designs(records))
+    if of_backbone and not (is_stated and len(records) > 1):
         return []
-    names = dict[str, str]()
+    names, used = dict[str, str](), set[str]()
     for number, (head, letters) in enumerate(records, 1):
-        # Programs number designs: x, id=3, or sample=3.
+        # Programs number designs: x, id=3, or sample=3. Names are parts of names of files.
         stem = "" if "=" in (first := re.split(r"[\s,]", head)[0]) else re.sub(r"[^\w.-]+", "_", first)
+        stem = stem.strip(".")[:_LONGEST_NAME]
         counter = re.search(r"\b(sample|id)=(\d+)", head)
         name = f"{stem or counter[1]}_{counter[2]}" if counter else stem or str(number)
-        names[name if name not in names else f"{name}_{number}"] = "/".join(letters).upper()
+        while name.lower() in used:  # Some file systems ignore case.
+            name += f"_{number}"
+        used.add(name.lower())
+        names[name] = "/".join(letters).upper()
     return list(names.items())
 
 
 def _records(file: Path) -> list[tuple[str, list[str]]]:
     """Title and chains of each record of a FASTA file."""
-    records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
+    content = file.read_text(encoding="utf-8-sig", errors="replace")
+    records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", content)
     return [
-        (head, re.split("[/:]", "".join(body.split()).strip("/:*"))) for head, body in records if body.strip()
+        (head.strip(), re.split("[/:]", "".join(body.split()).strip("/:*")))
+        for head, body in records
+        if body.strip()
     ]
 
 
-def _are_designs(records: list[tuple[str, list[str]]]) -> bool:
-    """Whether records are alternatives, not the chains of one structure."""
+def _are_designs(records: list[tuple[str, list[str]]]) -> bool | None:
+    """Whether records are alternatives, not the chains of one structure. None if both are possible."""
+    if any(_DESIGN.search(head) for head, _ in records):
+        return True
+    if len(records) < 2 or all(len(letters) > 1 for _, letters in records):
+        return len(records) > 1
     is_alike = len({tuple(map(len, letters)) for _, letters in records}) == 1
-    is_named = all(len(re.split(r"[\s,|]", head)[0]) > _LONGEST_CHAIN_NAME for head, _ in records)
-    of_chains = len(records) > 1 and all(len(letters) > 1 for _, letters in records)
-    return of_chains or any(_DESIGN.search(head) for head, _ in records) or (is_alike and is_named)
+    has_names = any(len(re.split(r"[\s,|]", head)[0]) > _LONGEST_CHAIN_NAME for head, _ in records)
+    return None if is_alike and has_names else False
 
 
-def _read_fasta(file: Path, number: int, name: str) -> str:
-    """Sequences of a FASTA file, or of one of its designs, counted from 1. 0 means the only design."""
+def _read_fasta(file: Path, part: str, name: str) -> str:
+    """Sequences of a FASTA file, or of one of its designs, counted from 1."""
     records = _records(file)
-    if not number and not _are_designs(records):
-        chains = [(re.match(r"\w*", head), letters) for head, letters in records]
-        return "/".join(
-            f"{of[0]}={part}" if of and of[0] and len(letters) == 1 else part
-            for of, letters in chains
-            for part in letters
-        )
-    if number > len(records):
-        raise refusal(name, brief(f"{file}#{number}"), choose_record(str(file)))
-    return "/".join(records[max(number, 1) - 1][1])
+    if part.isdecimal() and not 0 < int(part) <= len(records):
+        raise refusal(name, brief(f"{file}#{part}"), choose_record(str(file)))
+    is_stated = part == _DESIGNS or (not part and _are_designs(records))
+    if part.isdecimal() or (records and is_stated):
+        return "/".join(records[int(part) - 1 if part.isdecimal() else 0][1])
+    if not part and is_stated is None:
+        kinds = f"{file}#{_CHAINS} or {file}#{_DESIGNS}"
+        raise refusal(name, brief(str(file)), f"its records may be chains or designs; give {kinds}")
+    chains = [(re.match(r"\w*", head), letters) for head, letters in records]
+    return "/".join(
+        f"{of[0]}={chain}" if of and of[0] and len(letters) == 1 else chain
+        for of, letters in chains
+        for chain in letters
+    )
 
 
-def choose_record(file: str) -> str:
+def choose_record(specification: str) -> str:
     """Remedy for a FASTA file with several designs, if there can be only one."""
-    n = len(_records(Path(file)))
+    file = _file_and_part(specification)[0] or Path(specification)
+    n = len(_records(file))
     return f"has {n} records; choose one as {file}#{n}"
 
 
+_CHAINS, _DESIGNS = "chains", "designs"
 _LONGEST_CHAIN_NAME = 4
+_LONGEST_NAME = 100
+"""Characters of the name of a design. Names of files have at most 255 bytes."""
 _DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidence|num_res)=")
 """What ProteinMPNN and LigandMPNN write above each design."""
 

@@ -23,6 +23,9 @@ _STARTS = 400
 _EQUAL = 1e-9
 """Fraction of the sum of squares about the origin. Mappings with smaller differences are equal."""
 
+_ALIKE = 0.1
+"""nm. Mappings of a symmetric complex differ less in RMSD, mappings of equal chains in other places more."""
+
 
 @dataclass(frozen=True, eq=False)
 class PairSums(Value):
@@ -68,17 +71,24 @@ class PairSums(Value):
         )
 
 
-def least_rmsd_mapping(sums: PairSums, first: Integers) -> Integers:
-    """Find the chain of the model for each of the reference (k,), as many as ``first``, of least RMSD."""
+def least_rmsd_mappings(sums: PairSums, first: Integers) -> list[Integers]:
+    """Find the chain of the model for each of the reference (k,), as many as ``first``, of least RMSD.
+
+    Mappings of almost the same RMSD follow, as those of a symmetric complex.
+    """
     allowed = sums.weight > 0.0
     best, least = first, _mean_square(sums, first)
+    squares = dict[tuple[int, ...], float]()
     same = _EQUAL * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))
     for start in _starts(allowed):
         mapping = _refine(sums, allowed, start)
-        off = _mean_square(sums, mapping)
+        off = squares[tuple(mapping.tolist())] = _mean_square(sums, mapping)
         if (mapping >= 0).sum() >= (best >= 0).sum() and off < least - same:
             best, least = mapping, off
-    return best
+    highest = (max(least, 0.0) ** 0.5 + _ALIKE) ** 2
+    alike = [np.array(mapping) for mapping, off in squares.items() if off < highest]
+    n_mapped = (best >= 0).sum()
+    return [best, *(m for m in alike if (m >= 0).sum() == n_mapped and (m != best).any())]
 
 
 def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:

@@ -15,7 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.chains import PairSums, least_rmsd_mapping
+from protochain.structure.chains import PairSums, least_rmsd_mappings
 from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import STANDARD_INPUT, parse
 from protochain.structure.molecule.model import Structure
@@ -62,20 +62,38 @@ class _Alignment(NamedTuple):
 
 def match(reference: Structure, model: Structure) -> Match:
     """Pair residues by chain, number and name, or by alignment (BLOSUM62), equal chains by least RMSD."""
+    return next(matches(reference, model))
+
+
+def matches(reference: Structure, model: Structure) -> Iterator[Match]:
+    """Pair residues as :func:`match`, then with the chains of a symmetric complex in other orders."""
     refs, models = _by_chain(reference), _by_chain(model)
     numbered = _numbered_pairs(reference, model)
     if not refs or not models:
         raise ProtochainError(f"{model.name}: no residue matches {reference.name}")
     if numbered and len(refs) == len(models) == 1:
-        return _make_match(reference, model, numbered, "numbers", [(0, 0)])
+        yield _make_match(reference, model, numbered, "numbers", [(0, 0)])
+        return
     aligned = _alignments(refs, models, reference, model)
     place = {name: j for j, name in enumerate(models)}
     by_id = np.array([place.get(name, -1) for name in refs])
     first = by_id if numbered else _by_score(refs, models, aligned)
-    mapping = _least_rmsd_mapping(reference, model, aligned, first)
-    columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
-    if numbered and (mapping == first).all():
-        return _make_match(reference, model, numbered, "numbers", columns)
+    for mapping in _least_rmsd_mappings(reference, model, aligned, first):
+        columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
+        if numbered and (mapping == first).all():
+            yield _make_match(reference, model, numbered, "numbers", columns)
+        else:
+            yield _match_chains(reference, model, aligned, columns)
+
+
+def _match_chains(
+    reference: Structure,
+    model: Structure,
+    aligned: Mapping[tuple[int, int], _Alignment],
+    columns: Sequence[tuple[int, int]],
+) -> Match:
+    """Pair residues of chains by alignment, or by their fold."""
+    refs, models = _by_chain(reference), _by_chain(model)
     pairs, matched, refused, how = list[tuple[int, int]](), list[tuple[int, int]](), list[str](), "fold"
     for i, j in columns:
         ref_id, model_id = list(refs)[i], list(models)[j]
@@ -272,10 +290,10 @@ def _by_score(
     return mapping
 
 
-def _least_rmsd_mapping(
+def _least_rmsd_mappings(
     reference: Structure, model: Structure, aligned: Mapping[tuple[int, int], _Alignment], first: Integers
-) -> Integers:
-    """Mapping of chains with the least RMSD, among chains as similar as in the first mapping."""
+) -> list[Integers]:
+    """Mappings of chains with the least RMSD, among chains as similar as in the first mapping."""
     k, m = (1 + max(pair[side] for pair in aligned) for side in (0, 1))
     identity = np.reshape([alignment.identity for alignment in aligned.values()], (k, m))
     n_matched = np.reshape([len(alignment.pairs) for alignment in aligned.values()], (k, m))
@@ -286,7 +304,7 @@ def _least_rmsd_mapping(
     exchangeable = (identity >= _EXCHANGEABLE * highest) & (alike >= 0.5 * likest) & (alike > 0.0)
     exchangeable[np.flatnonzero(first >= 0), first[first >= 0]] = True
     if (exchangeable.sum(axis=0) < 2).all() and (exchangeable.sum(axis=1) < 2).all():
-        return first
+        return [first]
     points = {}
     ref_x, model_x = _alphas(reference), _alphas(model)
     for i, j in np.argwhere(exchangeable).tolist():
@@ -297,8 +315,8 @@ def _least_rmsd_mapping(
             points[i, j] = x[present], y[present]
     sums = PairSums.of(points, k, m)
     if not (sums.weight[first >= 0, first[first >= 0]] > 0).all():
-        return first  # Without C-alphas there is no RMSD.
-    return least_rmsd_mapping(sums, first)
+        return [first]  # Without C-alphas there is no RMSD.
+    return least_rmsd_mappings(sums, first)
 
 
 def _alphas(s: Structure) -> Floats:

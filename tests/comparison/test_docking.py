@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.comparison.deviation import rmsd_table
-from protochain.comparison.docking import QUALITY, docking
+from protochain.comparison.docking import QUALITY, Pairing, docking
 
 ROOT = Path(__file__).parents[2]
 STRUCTURES = ROOT / "structures"
@@ -210,10 +210,66 @@ def test_a_ligand_that_moves_has_its_rmsd(bound):
     assert moved["ligands"]["ligand_rmsd_angstrom"].tolist() == pytest.approx([1.0], abs=1e-6)
     assert 0.4 < moved["lddt_pli"] < 1.0
     assert moved["dockq"] is None
-    row = docking(bound, bound.with_positions(x), "A", "ligand")
+    row = docking(Pairing.of(bound, bound.with_positions(x)), "A", "ligand")
     assert row["ligand_rmsd_angstrom"] == pytest.approx(1.0, abs=1e-6)
     assert row["ca_rmsd_1_angstrom"] < 1e-6
     assert row["ca_rmsd_2_angstrom"] is None
+
+
+def test_a_far_ligand_does_not_remove_the_lddt_of_another(bound):
+    """It has no contact, and the mean is of ligands that have one. Tables without ligands have columns."""
+    sdf = str(STRUCTURES / "1MEH_MOA.sdf")
+    both = pc.load(STRUCTURES / "1l2y.pdb", ligands=[("", sdf), ("", sdf)])
+    x = both.positions.copy()
+    x[: bound.n_atoms] = bound.positions
+    x[both.ligands[1].atoms] += 10.0
+    both = both.with_positions(x)
+    row = docking(Pairing.of(both, both), "A", "ligand")
+    assert row["lddt_pli"] == pytest.approx(1.0)
+    assert row["lddt_pli"] == pc.complex_quality(both, both)["lddt_pli"]
+    native = STRUCTURES / "ala10.pdb"
+    assert {"ligand", "lddt_pli"} <= {*pc.complex_quality(native, native)["ligands"]}
+
+
+def test_a_ligand_of_a_symmetric_dimer_may_be_at_either_chain(folder, bound):
+    """Names of chains of a homodimer mean nothing, so its ligand is in place at the other chain, too."""
+    far, turn = bound.positions.max(axis=0) * [1, 0, 0] + [0.2, 0, 0], np.diag([-1.0, -1.0, 1.0])
+    pc.save(bound, folder / "bound.pdb", hydrogens=False)
+    whole = gemmi.read_structure(str(folder / "bound.pdb"))
+    chain, ligand = whole[0][0], whole[0][1]
+    assert (len(chain), len(ligand)) == (20, 1)
+    rng = np.random.default_rng(3)
+    for name, at_other in (("dimer", False), ("dimer-other", True)):
+        model = gemmi.Model(1)
+        for chain_name, part, is_turned in (("A", chain, False), ("B", chain, True), ("C", ligand, at_other)):
+            added = part.clone()
+            added.name = chain_name
+            noise = 0.0 if name == "dimer" or part is ligand else 0.1
+            for atom in (atom for residue in added for atom in residue):
+                x = np.array(atom.pos.tolist()) - 10.0 * far
+                x = (turn @ x if is_turned else x) + rng.normal(0.0, noise, 3)
+                atom.pos = gemmi.Position(*x)
+            model.add_chain(added)
+        structure = gemmi.Structure()
+        structure.add_model(model)
+        structure.setup_entities()
+        structure.write_pdb(str(folder / f"{name}.pdb"))
+    quality = pc.complex_quality(folder / "dimer.pdb", folder / "dimer-other.pdb")
+    assert quality["chain_mapping"] == "A:B,B:A"
+    assert quality["ligand_rmsd_angstrom"] < 0.3
+    assert quality["lddt_pli"] > 0.99
+
+
+def test_a_model_without_the_interface_is_not_better_for_it(folder):
+    """Its residues there have no RMSD. DockQ has no share of it, as of an infinite one."""
+    structure = native_of("1ysa")
+    for _ in range(37):
+        del structure[0]["D"][0]
+    structure.write_pdb(str(folder / "without.pdb"))
+    table = pc.complex_quality(written(folder, "1ysa"), folder / "without.pdb")["interfaces"]
+    row = table[table["interface"] == "A:D"].iloc[0]
+    assert np.isnan(row["irms_angstrom"])
+    assert (row["fnat"], row["dockq"]) == pytest.approx((0.0, 1.0 / 3.0), abs=1e-4)
 
 
 def test_without_peppr_it_says_what_to_install(bound, monkeypatch, tmp_path, capsys):

@@ -45,8 +45,43 @@ def test_a_design_is_a_record_of_all_chains(text, number, expected, tmp_path):
 NAMED = ">first|x\nACD\n>second binder\nACE\n"
 NAMES = {
     PROTEIN_MPNN: ["x", "sample_1"], LIGAND_MPNN: ["x", "x_1", "x_2"], MONOMERS: ["sample_1", "sample_2"],
-    NAMED: ["first_x", "second"],
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "titles",
+    [
+        {"a": "a", "a_3": "a_3", " a": "a_3_3"},
+        {"..": "1", ".hidden": "hidden", "a/b": "a_b", "A_b": "A_b_4", "../c": "_c", "x" * 300: "x" * 100},
+        {"\ufefflong|name": "long_name", "second": "second"},
+    ],
+)
+def test_names_of_designs_are_names_of_different_files(titles, tmp_path):
+    path, mark = tmp_path / "x.fa", "\ufeff"
+    text = "".join(f">{title.strip(mark)}\nACD\n" for title in titles)
+    path.write_text(mark * any(mark in title for title in titles) + text)
+    names = [name for name, _ in designs(f"{path}#designs")]
+    assert names == [*titles.values()]
+
+
+def test_records_of_equal_length_are_chains_or_designs_as_stated(tmp_path, capsys):
+    """A FASTA file of a homodimer, or two designs of one chain: nothing in the file decides."""
+    path = tmp_path / "x.fa"
+    path.write_text(NAMED)
+    for call in (lambda: sequences(path, "sequence"), lambda: pc.Setup(sequence=path)):
+        with pytest.raises(pc.ProtochainError, match=r"give .*x.fa#chains or .*x.fa#designs"):
+            call()
+    assert "x.fa#designs" in refusal("mutate", STRUCTURES / "ala10.pdb", "--sequence", path)
+    assert sequences(f"{path}#chains", "sequence") == "first=ACD/second=ACE"
+    assert sequences(f"{path}#designs", "sequence") == f"{path}#designs"
+    assert designs(f"{path}#designs") == [("first_x", "ACD"), ("second", "ACE")]
+    assert designs(f"{path}#chains") == designs(f"{path}#2") == []
+    with pytest.raises(pc.ProtochainError, match=r"has 2 records; choose one as .*x.fa#2"):
+        pc.Setup(sequence=f"{path}#designs").load(STRUCTURES / "ala10.pdb")
+    with pytest.raises(pc.ProtochainError, match="has 2 records"):
+        sequences(f"{path}#0", "sequence")
+    path.write_text(LIGAND_MPNN)
+    assert sequences(f"{path}#chains", "sequence") == "GGG/GG/ACD/EF/ACD/EG"
 
 
 @pytest.mark.parametrize("text", NAMES)
@@ -133,10 +168,29 @@ def test_relax_and_batch_have_a_row_for_each_design(backbone, capsys):
     assert names == table["structure"].tolist()
 
 
+def test_equal_designs_are_separate(backbone):
+    """Cold sampling of ProteinMPNN repeats sequences. Each has its row, also after --resume."""
+    lines = [f">T=0.1, sample={number}\nAAAVAALAAA\n" for number in (1, 2)]
+    (backbone / "equal.fa").write_text("".join(lines))
+    options = ("--sequence", "equal.fa", "--solvent", "vacuum", "--workers", "1")
+    for more in ((), ("--resume",)):
+        assert run("relax", "ala10.pdb", "-o", "relaxed", *options, *more) == 0
+        table = pd.read_csv("relaxed/relaxed.csv")
+        assert table["structure"].tolist() == ["ala10.sample_1", "ala10.sample_2"]
+        assert table["output"].nunique() == 2
+
+
+@pytest.mark.parametrize("output", ["-", "x.pdb.gz", "x.csv"])
+def test_several_results_need_a_folder(backbone, output):
+    for command in (("mutate", "ala10.pdb", "--sequence", "designs.fa"), ("build", "designs.fa")):
+        assert "require an output folder" in refusal(*command, "-o", output)
+    assert not (backbone / output).exists()
+
+
 def test_build_has_a_chain_for_each_record(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.fa").write_text(">A\nACDE\n>B other\nGAG\n")
-    assert run("build", "x.fa", "-o", "built", "--json") in (0, None)
+    assert run("build", "x.fa", "-o", "built.v2", "--json") in (0, None)
     rows = json.loads(capsys.readouterr().out)["results"]
     assert [(row["record"], row["n_residues"]) for row in rows] == [("A", 4), ("B", 3)]
     for row, letters in zip(rows, ("ACDE", "GAG"), strict=True):
