@@ -85,9 +85,11 @@ def checkpoint(
     if not {*list(settings)[:1]} <= set(written):
         raise ProtochainError(f"{path}: is not a checkpoint of a {kind}; ", *remedy)
     for name, value in settings.items():
+        if name in _HASHED and written.get(name) != value:
+            raise ProtochainError(f"{path}: was written by a run with {_HASHED[name]}; repeat its settings")
         if written.get(name) != value:
             raise ProtochainError(
-                f"{path}: was written by a run with  ",
+                f"{path}: was written by a run with ",
                 Argument(name),
                 f" {written.get(name)!r}, not {value!r}; repeat its settings",
             )
@@ -100,6 +102,11 @@ def checkpoint(
         raise ProtochainError(f"{path}: damaged checkpoint ({cause}); ", *remedy) from None
 
 
+_HASHED = {
+    "system": "another system: its atoms, caps, force field, solvent or salt",
+    "start": "another start: its atoms or positions",
+}
+"""Settings that are hashes, with the words of a refusal."""
 _DAMAGED = (
     OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
     MemoryError,

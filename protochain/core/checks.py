@@ -204,10 +204,11 @@ def cutoff_of(value: Any, name: str) -> Any:
 
 
 def concentration(value: Any, name: str) -> float:
-    """Return a concentration in mol/l, 0 or more, also from a Quantity."""
+    """Return a concentration in mol/l from 0 to 10, also from a Quantity."""
     molar = number(plain(value, "mole/liter", name), name)
-    if not 0.0 <= molar < float("inf"):
-        raise refusal(name, f"{molar:g}", "give a concentration in mol/l, 0 or more")
+    # A saturated solution of NaCl has 6 mol/l. Larger numbers are usually in mmol/l.
+    if not 0.0 <= molar <= 10.0:
+        raise refusal(name, f"{molar:g}", "give a concentration in mol/l, from 0 to 10")
     return float(molar)
 
 

@@ -29,8 +29,8 @@ LIGAND = "ligand"  # what moves in a rigid protein
 PH = 7.0
 LIGAND_CHARGES = "nagl"  # what Sage 2.3.0, the force field of ligands, was fitted with
 KEEP = ("near",)
-CAP, CAPPED = "none", ("none", "breaks", "ends", "all")
 """Molecules that become fixed obstacles: all but waters, if an atom is near the protein."""
+CAP, CAPPED = "none", ("none", "breaks", "ends", "all")
 KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein
 
 METHOD = "cartesian"  # ends near its start

@@ -43,6 +43,7 @@ from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_expressions, check_passive
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.residues import NUCLEOTIDES, PHOSPHORYLATED
 from protochain.structure.molecule.templates import (
     CONVERT,
@@ -167,8 +168,8 @@ def energy(
         ``auto``: native if it supports every force, otherwise openmm. ``reason`` of the energy explains it.
     salt : float
         Concentration of a monovalent salt in the solvent, mol/l, also as a Quantity of OpenMM. It screens
-        generalised Born at 298.15 K (Srinivasan et al., Theor. Chem. Acc. 101:426, 1999). Far pairs are then
-        not summed by a tree.
+        generalised Born at 298.15 K, also in simulations at other temperatures (Srinivasan et al., Theor.
+        Chem. Acc. 101:426, 1999). Far pairs are then not summed by a tree.
     device : str
         ``cpu``, or ``cuda``, ``hip`` or ``opencl``: an OpenMM platform in mixed precision. The engine then
         judges the end and completes the run. ``auto``: CUDA or HIP, if present, from 5,000 atoms, unless the
@@ -380,10 +381,14 @@ def build_system(
             _add_obc2(system, structure, cutoff)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
-        remedy = ("; without modified residues: ", Argument("standard_residues", True))
+        remedy: tuple[str | Argument, ...] = ()
+        if structure.fragments or _phosphorylated_names(structure):
+            remedy = "; without modified residues: ", Argument("standard_residues", True)
+        elif any(repair.kind in (Kind.CAP_AT_BREAK, Kind.CAP_AT_END) for repair in structure.repairs):
+            remedy = "; without caps: ", Argument("cap", "none")
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}",
-            *(remedy if structure.fragments or _phosphorylated_names(structure) else ()),
+            *remedy,
         ) from None
     _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():

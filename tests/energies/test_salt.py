@@ -40,6 +40,7 @@ def run():
         ({"salt": float("nan")}, "salt"),
         ({"salt": float("inf")}, "salt"),
         ({"salt": "much"}, "salt"),
+        ({"salt": 150}, "salt 150: .* mol/l"),  # Of millimolar.
         ({"salt": 150.0 * unit.kelvin}, "salt"),
         ({"solvent": "igb5"}, "choose from vacuum, hct, obc1, obc2, gbn, gbn2"),
     ],
@@ -99,7 +100,7 @@ def test_a_run_does_not_resume_with_another_salt(tmp_path):
     c = pc.build_chain(s)
     pc.minimise(c, pc.energy(s, **SALTED), "lbfgs", checkpoint=file, **FEW)
     for salt in (0.0, 0.3):
-        with pytest.raises(ProtochainError, match="system"):
+        with pytest.raises(ProtochainError, match=r"another system: .*salt"):
             pc.minimise(c, pc.energy(s, solvent="gbn2", salt=salt), "lbfgs", resume=file, **FEW)
     pc.minimise(c, pc.energy(s, **SALTED), "lbfgs", resume=file, max_evaluations=6, curvature=False)
 

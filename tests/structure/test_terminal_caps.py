@@ -186,6 +186,49 @@ def test_the_sequence_of_the_file_stays_and_caps_have_numbers_in_mmcif(tmp_path)
     assert [str(r.seqid) for r in written[0][0] if r.name in ("ACE", "NME")] == ["20", "22"]
 
 
+def test_caps_next_to_insertion_codes_have_numbers_in_the_order_of_the_chain(tmp_path):
+    """As in loops of antibodies: residues 30 to 45 are 29A to 29P, and 46 and later have lower numbers."""
+
+    def renumber(line):
+        n = int(line[22:26]) if line[:4] == "ATOM" else 0
+        label = f"  29{chr(ord('A') + n - 30)}" if 30 <= n <= 45 else f"{n - 16:4d} "
+        return line[:22] + label + line[27:] if n >= 30 else line
+
+    for absent, expected in (
+        ((34, 35, 38, 39, 40, 46, 47), ["NME29E", "ACE29F", "NME29I", "ACE29K", "NME30", "ACE31"]),
+        ((30, 31, 32), ["NME29A", "ACE29C"]),
+        ((29, 30, 31), ["NME29", "ACE29B"]),
+    ):
+        path = cut(tmp_path / "cut.pdb", *absent)
+        path.write_text("".join(map(renumber, path.read_text().splitlines(keepends=True))))
+        s = pc.load(path, cap="breaks")
+        assert caps(s) == expected
+        order = [(int(r.id), r.insertionCode.strip()) for r in s.topology.residues()]
+        assert all(a < b for a, b in pairwise(order))
+
+
+def test_a_break_at_a_residue_alone_has_no_charged_termini(tmp_path):
+    s = pc.load(cut(tmp_path / "cut.pdb", 15, 16, 18, 19), cap="breaks")
+    assert caps(s) == ["NME15", "ACE19"] and not kinds(s, Kind.GAP)
+    # The residue before aspartate 39 is missing, and an acetyl has no room there.
+    charged = pc.load(cut(tmp_path / "cut.pdb", 38), cap="breaks")
+    assert caps(charged) == ["NME38"] and len(kinds(charged, Kind.GAP, Kind.NOT_CAPPED)) == 2
+
+
+def test_a_force_field_without_caps_is_refused_with_the_option(tmp_path):
+    s = pc.load(cut(tmp_path / "cut.pdb", 16, 17, 18), cap="breaks")
+    with pytest.raises(pc.ProtochainError, match=r'charmm36.*cap="none"'):
+        pc.energy(s, "charmm36")
+
+
+def test_a_run_does_not_resume_with_other_caps(tmp_path):
+    few = {"max_evaluations": 3, "curvature": False, "method": "lbfgs"}
+    pc.minimise(STRUCTURES / "ala10.pdb", checkpoint=tmp_path / "c.npz", **few)
+    capped = pc.load(STRUCTURES / "ala10.pdb", cap="all")
+    with pytest.raises(pc.ProtochainError, match=r"another system: .*caps.*salt"):
+        pc.minimise(capped, resume=tmp_path / "c.npz", **few)
+
+
 def test_ends_are_capped_unless_the_sequence_of_the_file_ends_there(tmp_path):
     assert caps(pc.load(STRUCTURES / "ala10.pdb", cap="ends")) == ["ACE0", "NME11"]
     stated = pc.load(STRUCTURES / "4pti.pdb", cap="ends")

@@ -63,7 +63,7 @@ def cap_ends(draft: Draft) -> Changes:
         return
     entities = with_header(draft.header).entities
     lengths = {name: len(entity.full_sequence) for entity in entities for name in entity.subchains}
-    capped: list[Repair] = []
+    capped, charged = list[Repair](), list[Repair]()
     # Caps with more freedom are later: acetyl at proline, methylamide, which turns with O, acetyl.
     for end in sorted(_ends(draft), key=lambda end: len(end.cap.opposite) or 3):
         if requested not in ("all", "breaks" if end.gap else "ends"):
@@ -77,13 +77,15 @@ def cap_ends(draft: Draft) -> Changes:
             cap = yield from _build(draft, end, length)
         except StructureError as error:
             yield Repair.of(Kind.NOT_CAPPED, residue=end.member.residue, why=error)
+            charged += [end.gap] if end.gap else []
             continue
         end.part.members.insert(0 if end.cap.step < 0 else len(end.part.members), cap)
         capped += [end.gap] if end.gap else []
         facts = end.gap.facts if end.gap else {}
         yield Repair.of(Kind.CAP_AT_BREAK if end.gap else Kind.CAP_AT_END, residue=cap.residue, **facts)
-    # A break with two caps has no charged termini.
-    draft.repairs = [repair for repair in draft.repairs if sum(repair is gap for gap in capped) < 2]
+    # A break with caps has no charged termini.
+    neutral = {id(gap) for gap in capped} - {id(gap) for gap in charged}
+    draft.repairs = [repair for repair in draft.repairs if id(repair) not in neutral]
 
 
 def _ends(draft: Draft) -> Iterator[_End]:
@@ -133,15 +135,25 @@ def _build(draft: Draft, end: _End, length: int) -> Generator[Repair, None, Memb
         member.atoms = [p for p in member.atoms if p.name not in light | ({charged.name} - {"N"})]
     b_iso = member.atoms[0].b_iso
     atoms = [atom(name, name[0], np.round(p[chosen], 4).tolist(), b_iso) for name, p in x.items()]
-    # The number next to the residue, or the lower one of both with an insertion code if it is used.
-    used = {m.seqid for m in draft.members if m.chain_id == member.chain_id}
-    number = int(member.number) + cap.step
-    choices = [(number, ""), *((min(number, int(member.number)), code) for code in ascii_uppercase)]
-    number, code = next((n, code) for n, code in choices if f"{n}{code}" not in used)
+    number, code = _free_number(draft, member, cap.step)
     label = member.label[0], (member.label[1] or -1) + cap.step
     is_free = 0 < label[1] <= length and label not in {m.label for m in draft.members}
     new_label = label if is_free else (label[0], None)
     return Member(cap.name, f"{number}", code, member.chain_id, atoms, label=new_label, raw_name=cap.name)
+
+
+def _free_number(draft: Draft, member: Member, step: int) -> tuple[int, str]:
+    """Return an unused number and insertion code next to a residue, in the order of the chain if possible."""
+    used = {(int(m.number), m.insertion_code) for m in draft.members if m.chain_id == member.chain_id}
+    n, own = int(member.number), member.insertion_code
+    codes = ("", *ascii_uppercase)
+    if step > 0:
+        # The next number would be after further residues with the same number.
+        goes_on = any(number == n and code > own for number, code in used)
+        choices = [*([] if goes_on else [(n + 1, "")]), *((n, code) for code in codes if code > own)]
+    else:
+        choices = [*((n, code) for code in reversed(codes) if code < own), *((n - 1, code) for code in codes)]
+    return next(choice for choice in choices if choice not in used)
 
 
 def _room(draft: Draft, member: Member, cap: _Cap, x: Places) -> Floats:
