@@ -2,7 +2,7 @@
 
 import itertools
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import cached_property
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Integers, Value
 from protochain.core.checks import check_arguments
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import components, group_members
@@ -173,15 +173,17 @@ class Pairing(Value):
 
         The chains of a symmetric complex are in the order in which most ligands are in place.
         """
-        numberings, pairings = _numberings(reference, model), list[Pairing]()
+        molecules, pairings = [_molecules(s) for s in (reference, model)], list[Pairing]()
+        numberings = _numberings(reference, model, *molecules)
+        is_strand = [_is_nucleic(reference)[atoms[0]] for atoms in molecules[0]]
         # Without ligands the least RMSD decides.
         for matched in itertools.islice(matches(reference, model), None if numberings else 1):
             residues = matched.reference, matched.model
             atoms = pair_atoms(reference, model, residues, _is_heavy(reference) & ~reference.kept)
             atoms = atoms[~model.built[atoms[:, 1]]]
-            molecules = [*_paired_molecules(reference, model, atoms, numberings)]
-            strands = [pairs for pairs, _ in molecules if _is_nucleic(reference)[pairs[0, 0]]]
-            ligands = tuple(entry for entry in molecules if not _is_nucleic(reference)[entry[0][0, 0]])
+            placed = _place_molecules(reference, model, atoms, molecules[0], numberings)
+            strands = [pairs for i, (pairs, _) in placed.items() if is_strand[i]]
+            ligands = tuple(entry for i, entry in placed.items() if not is_strand[i])
             pairings.append(cls(reference, model, matched, np.vstack([atoms, *strands]), ligands))
         return min(pairings, key=lambda pairing: sum(off for _, off in pairing.ligands))
 
@@ -202,7 +204,7 @@ class Pairing(Value):
         rows = []
         for pairs, off in self.ligands:
             first, second = self.reference.atom_residue[pairs[0, 0]], self.model.atom_residue[pairs[0, 1]]
-            arrays = (self._array(column, pairs) for column in (0, 1))
+            arrays = (self._array(column, [pairs]) for column in (0, 1))
             rows.append({
                 "ligand": self.reference.describe_residue(first),
                 "model_ligand": self.model.describe_residue(second), "ligand_rmsd_angstrom": off,
@@ -249,24 +251,15 @@ class Pairing(Value):
         parts = peppr.DockQ(fnat, 0.0, off if np.isfinite(off) else np.inf, peppr.lrmsd(*arrays))
         return dict(zip(QUALITY, map(float, (parts.score, fnat, off, parts.lrmsd)), strict=False))
 
-    def _array(self, column: int, ligand: Integers | None = None) -> Any:
+    def _array(self, column: int, ligand: Sequence[Integers] = ()) -> Any:
         """Atoms of one of both for peppr, with names and residues of the reference, and with a ligand."""
-        x = (self.reference, self.model)[column].positions
-        array = self._of_reference(self.atoms[:, 0], x[self.atoms[:, column]])
-        if ligand is None:
-            return array
-        added = self._of_reference(ligand[:, 0], x[ligand[:, column]])
-        added.chain_id[:], added.hetero[:] = "~", True
-        return array + added
-
-    def _of_reference(self, atoms: Integers, x: Floats) -> Any:
-        """Atoms of the reference for peppr, at positions x (n, 3), nm."""
-        s = self.reference
-        array = library("biotite.structure", EXTRA).AtomArray(len(atoms))
-        array.coord = ANGSTROM_PER_NM * x
-        residue = s.atom_residue[atoms]
+        s, pairs = self.reference, np.vstack([self.atoms, *ligand])
+        atoms, residue = pairs[:, 0], s.atom_residue[pairs[:, 0]]
+        array = library("biotite.structure", EXTRA).AtomArray(len(pairs))
+        array.coord = ANGSTROM_PER_NM * (s, self.model)[column].positions[pairs[:, column]]
         array.res_id, array.chain_id = residue, s.residue_chain[residue]
         array.atom_name, array.element = s.atom_name[atoms], s.atom_element[atoms]
+        array.chain_id[len(self.atoms) :], array.hetero[len(self.atoms) :] = "~", True
         return array
 
 
@@ -309,15 +302,12 @@ def _molecules(s: Structure) -> list[Integers]:
 
 
 def _graph(s: Structure, atoms: Integers) -> Any:
-    """Bonds of a molecule as RDKit's, None of a strand. Orders are single: resonance is symmetric."""
-    if _is_nucleic(s)[atoms[0]]:
-        return None
-    bonds = np.searchsorted(atoms, s.bonds[np.isin(s.bonds, atoms).all(axis=1)])
+    """Bonds of a molecule as RDKit's. Orders are single: resonance is symmetric."""
     chem = library("rdkit.Chem", EXTRA)
     mol = chem.RWMol()
     for element in s.atom_element[atoms].tolist():
         mol.AddAtom(chem.Atom(element))
-    for pair in bonds.tolist():
+    for pair in np.searchsorted(atoms, s.bonds[np.isin(s.bonds, atoms).all(axis=1)]).tolist():
         mol.AddBond(*pair, chem.BondType.SINGLE)
     mol.UpdatePropertyCache(strict=False)
     chem.FastFindRings(mol)
@@ -339,48 +329,49 @@ def _paired_strands(
     return pairs[~model.built[pairs[:, 1]]]
 
 
-def _numberings(reference: Structure, model: Structure) -> dict[tuple[int, int], tuple[Integers, Integers]]:
+def _numberings(
+    reference: Structure, model: Structure, molecules: Sequence[Integers], model_molecules: Sequence[Integers]
+) -> dict[tuple[int, int], tuple[Integers, Integers]]:
     """Atoms (n,) of molecules i of the reference, and (m, n) of equal ones j of the model, in all orders."""
-    graphs = [[(atoms, _graph(s, atoms)) for atoms in _molecules(s)] for s in (reference, model)]
+    sides = (reference, molecules), (model, model_molecules)
+    graphs = [
+        [None if _is_nucleic(s)[atoms[0]] else _graph(s, atoms) for atoms in group] for s, group in sides
+    ]
     numberings = {}
-    for (i, (atoms, graph)), (j, (model_atoms, model_graph)) in itertools.product(*map(enumerate, graphs)):
-        if graph is None or model_graph is None:
-            same = graph is model_graph
-            pairs = _paired_strands(reference, atoms, model, model_atoms) if same else np.empty((0, 2), int)
-            order, orders = pairs[:, 0], pairs[None, :, 1]
-        else:
-            sizes = {(mol.GetNumAtoms(), mol.GetNumBonds()) for mol in (graph, model_graph)}
-            places: Any = ()
-            if len(sizes) == 1:
-                places = model_graph.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
-            order = atoms
-            orders = model_atoms[np.array(places, dtype=np.int64)].reshape(-1, len(atoms))
-        if orders.size:
-            numberings[i, j] = order, orders
+    for (i, graph), (j, other) in itertools.product(*map(enumerate, graphs)):
+        order, orders = molecules[i], list[Integers]()
+        if graph is None and other is None:
+            order, *orders = _paired_strands(reference, order, model, model_molecules[j]).T
+        elif graph and other and graph.GetNumAtoms() == other.GetNumAtoms():
+            # Molecules of as many atoms and bonds are equal if one contains the other.
+            places = other.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
+            is_equal = graph.GetNumBonds() == other.GetNumBonds()
+            orders = [model_molecules[j][[*place]] for place in places if is_equal]
+        if len(order) and orders:
+            numberings[i, j] = order, np.array(orders)
     return numberings
 
 
-def _paired_molecules(
-    reference: Structure, model: Structure, protein: Integers,
+def _place_molecules(
+    reference: Structure, model: Structure, protein: Integers, molecules: Sequence[Integers],
     numberings: Mapping[tuple[int, int], tuple[Integers, Integers]],
-) -> Iterator[tuple[Integers, float]]:  # fmt: skip
-    """Pairs (n, 2) of atoms of equal molecules, assigned by least RMSD with the pocket superposed."""
+) -> dict[int, tuple[Integers, float]]:  # fmt: skip
+    """Pairs (n, 2) of atoms and RMSDs of molecules, assigned by least RMSD with the pocket superposed."""
+    motions = {i: _pocket_motion(reference, model, protein, molecules[i]) for i in {i for i, _ in numberings}}
     results = dict[tuple[int, int], tuple[Integers, float]]()
     for place, (order, orders) in numberings.items():
-        turn, shift = _pocket_motion(reference, model, protein, order)
+        turn, shift = motions[place[0]]
         square = ((model.positions[orders] @ turn.T + shift - reference.positions[order]) ** 2).sum(axis=2)
         best = int(square.mean(axis=1).argmin())
         distance = ANGSTROM_PER_NM * float(np.sqrt(square[best].mean()))
         results[place] = np.column_stack([order, orders[best]]), distance
-    if not results:
-        return
     # As many as possible are assigned.
-    shape = 1 + np.max([*results], axis=0)
-    cost = np.full(shape, 1.0 + 2.0 * shape[0] * max(off for _, off in results.values()))
+    shape = 1 + np.max([(-1, -1), *results], axis=0)
+    cost = np.full(shape, 1.0 + 2.0 * len(molecules) * max((off for _, off in results.values()), default=0.0))
     for place, (_, off) in results.items():
         cost[place] = off
     assigned = zip(*(index.tolist() for index in linear_sum_assignment(cost)), strict=True)
-    yield from (results[place] for place in assigned if place in results)
+    return {place[0]: results[place] for place in assigned if place in results}
 
 
 def _pocket_motion(reference: Structure, model: Structure, protein: Integers, atoms: Integers) -> Any:

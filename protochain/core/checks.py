@@ -335,19 +335,23 @@ def designs(specification: str, of_backbone: bool = True) -> list[tuple[str, str
         while name.lower() in used:  # Some file systems ignore case.
             name += f"_{number}"
         used.add(name.lower())
-        names[name] = "/".join(letters).upper()
+        names[name] = "/".join(letters)
     return list(names.items())
 
 
 def _records(file: Path) -> list[tuple[str, list[str]]]:
     """Title and chains of each record of a FASTA file."""
     content = file.read_text(encoding="utf-8-sig", errors="replace")
-    records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", content)
-    return [
-        (head.strip(), re.split("[/:]", "".join(body.split()).strip("/:*")))
-        for head, body in records
-        if body.strip()
-    ]
+    # ProteinMPNN names the designed chains once, and writes only their letters.
+    names = re.findall(r"'(\w+)'", next(iter(re.findall(r"designed_chains=\[([^\]]*)", content)), ""))
+    records = []
+    for head, body in re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", content):
+        if letters := "".join(body.upper().split()).strip("/:*"):
+            chains = re.split("[/:]", letters)
+            if len(chains) == len(names):
+                chains = [f"{name}={chain}" for name, chain in zip(names, chains, strict=True)]
+            records.append((head.strip(), chains))
+    return records
 
 
 def _are_designs(records: list[tuple[str, list[str]]]) -> bool | None:

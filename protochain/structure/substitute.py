@@ -122,6 +122,8 @@ def thread_sequence(structure: Structure, sequence: str) -> dict[int, str]:
     names = {}
     for chain_id, letters in texts:
         residues = amino[chain == chain_id].tolist()
+        if len(letters) - letters.count("X") == len(residues):  # ProteinMPNN writes X for missing residues.
+            letters = letters.replace("X", "")
         if len(letters) != len(residues):
             raise StructureError(
                 f"{structure.name}: sequence: {len(letters)} letters for chain {chain_id}, which has "

@@ -30,7 +30,7 @@ MONOMERS = ">T=0.1, sample=1, score=0.7\nACD\n>T=0.1, sample=2, score=0.7\nACE\n
 @pytest.mark.parametrize(
     ("text", "number", "expected"),
     [
-        (PROTEIN_MPNN, 1, "GGG/GG"), (PROTEIN_MPNN, 2, "ACD/EF"), (LIGAND_MPNN, 2, "ACD/EF"),
+        (PROTEIN_MPNN, 1, "A=GGG/B=GG"), (PROTEIN_MPNN, 2, "A=ACD/B=EF"), (LIGAND_MPNN, 2, "ACD/EF"),
         (LIGAND_MPNN, 3, "ACD/EG"), (MONOMERS, 2, "ACE"), (">A\nACD\n>B\nEF\n", 0, "A=ACD/B=EF"),
         (">x\nACD:EF\n", 0, "ACD/EF"), (MONOMERS.split("\n>")[0] + "\n", 0, "ACD"), ("ACD/EF\n", 0, "ACD/EF"),
         (">A\nACD\n>B\nEF\n", 2, "EF"),
@@ -143,6 +143,21 @@ def test_each_design_is_a_mutant(backbone, capsys):
     assert "exists" in refusal("mutate", "ala10.pdb", *options)
     assert "give one of" in refusal("mutate", "ala10.pdb", "A:A4V", *options)
     assert "output folder" in refusal("mutate", "ala10.pdb", *options, "-o", "x.pdb")
+
+
+def test_only_the_designed_chain_of_a_complex_changes(tmp_path, capsys):
+    """ProteinMPNN writes the letters of designed chains alone, with X for residues that the file lacks."""
+    residues = pc.load(STRUCTURES / "3i40.pdb", keep=()).residue_name
+    letters = "".join(STANDARD[name] for name in residues)
+    first, second = letters[:21], letters[21:]
+    path = tmp_path / "binder.fa"
+    head = ">3i40, score=1.7, global_score=1.7, fixed_chains=['A'], designed_chains=['B'], seed=37"
+    design = f"XX{second[:3]}X{second[3:8]}V{second[9:]}X"
+    path.write_text(f"{head}\n{second}\n>T=0.1, sample=1, score=0.7\n{design}\n")
+    s = pc.Setup(sequence=f"{path}#2", keep=()).load(STRUCTURES / "3i40.pdb")
+    after = "".join(STANDARD[name] for name in s.residue_name)
+    assert (after[:21], after[21:]) == (first, f"{second[:8]}V{second[9:]}")
+    assert second[8] != "V"
 
 
 def test_one_design_is_one_mutant(backbone, capsys):
