@@ -425,9 +425,12 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_JobInput]:
 def _poses(job_input: _JobInput) -> list[_JobInput]:
     """Copies of an input, one for each pose of a folder or file of ligands."""
     ligands = job_input.settings.setup.ligands
-    group = next((source for name, source in ligands if not name and has_poses(source)), None)
-    if group is None:
+    groups = [source for source in job_input.settings.setup.poses if has_poses(source)]
+    if not groups:
         return [job_input]
+    group, *further = groups
+    if further:
+        raise ProtochainError(f"{further[0]}: has several poses, as {group}; place all in one file or folder")
     sources = poses(Path(group))
     if not sources:
         raise ProtochainError(f"{group}: contains no poses; give a folder of {', '.join(MOLECULE_SUFFIXES)}")

@@ -1,5 +1,6 @@
 """Restraints of NEF and NMR-STAR files: distances and dihedrals between assigned atoms."""
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -126,7 +127,8 @@ def _restraint(
     upper = None if potential.startswith("lower-bound") else upper
     if target is not None and (potential == "parabolic" or lower is upper is None):
         spread = 0.0 if potential == "parabolic" else uncertainty or 0.0
-        lower, upper = target - spread, target + spread
+        lower = None if potential.startswith("upper-bound") else target - spread
+        upper = None if potential.startswith("lower-bound") else target + spread
     if lower is upper is None or (turns and None in (lower, upper)):
         raise ProtochainError("has no bounds; give its lower and upper limit, or its target value")
     stiffness = STIFFNESS * (1.0 if weight is None else weight)
@@ -134,7 +136,7 @@ def _restraint(
     low = lower or 0.0
     high = low if upper is None else upper
     # A dihedral between 170 and -170 degrees is between 170 and 190.
-    high += 360.0 * (turns and high < low)
+    high += 360.0 * math.ceil((low - high) / 360.0) if turns and high < low else 0.0
     is_linear = not potential.endswith("parabolic")
     lengths = zip(ends, (low, high), (-1.0, 1.0), strict=True)
     below, above = (0.0 if end is None else sign * (end - at) * is_linear for end, at, sign in lengths)

@@ -331,9 +331,12 @@ def has_poses(setup: Setup) -> bool:
     """Whether there are several poses of a ligand, which are added separately."""
     if not setup.poses:
         return False
-    from protochain.structure.ligand_files import has_poses
+    from protochain.core.checks import MOLECULE_SUFFIXES
+    from protochain.structure.ligand_files import has_poses, poses
 
-    return any(map(has_poses, setup.poses))
+    # A file that cannot be read is refused here, not counted as one pose.
+    files = [Path(source) for source in setup.poses if source.lower().endswith(MOLECULE_SUFFIXES)]
+    return any(len(poses(file)) > 1 for file in files) or any(map(has_poses, setup.poses))
 
 
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:

@@ -194,8 +194,9 @@ def _one(
                 result, origin, write, setup, _write_page, report, ligand_out, restraints=restraint_csv
             )
     if protein_out:
-        posed = [row for row in record["ligands"] if row["source"] in setup.poses]
-        save_proteins([(output, [f"{row['chain']}/{row['residue']}" for row in posed])], protein_out)
+        atoms = [int(ligand.atoms[0]) for ligand in structure.ligands if ligand.posed]
+        residues = [structure.residue(int(structure.atom_residue[atom])) for atom in atoms]
+        save_proteins([(output, [f"{res.chain}/{res.number}" for res in residues])], protein_out)
     if as_json:
         options.print_json(record)
     else:
@@ -260,7 +261,9 @@ def _several(
     if ligand_out:
         text = "".join((folder / poses_name(name)).read_text() for name in done["structure"])
         write_text(ligand_out, text)
-    if protein_out and len(done):
+    if protein_out and not len(done):
+        extras = [ligand_out]
+    elif protein_out:
         rows = done[["output", "pose_chain", "pose_residue"]].itertuples(index=False)
         complexes = ((folder / file, [f"{chain}/{number}"]) for file, chain, number in rows)
         save_proteins(complexes, protein_out)

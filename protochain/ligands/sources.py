@@ -3,6 +3,7 @@
 Distances are not used: orders of bonds, charges and hydrogens do not follow from coordinates.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -124,7 +125,9 @@ def text_of(path: Path) -> str:
     """Return the text of a file of bounded size."""
     try:
         if regular(path).stat().st_size > _LARGEST:
-            raise StructureError(f"{path}: is too large for one molecule; give one of it alone")
+            raise StructureError(
+                f"{path}: is too large for molecules; split it into files of up to {_LARGEST // 1_000_000} MB"
+            )
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise StructureError(f"{path}: cannot be read ({error.strerror}); give another file") from None
@@ -135,7 +138,8 @@ def records(text: str, suffix: str) -> list[str]:
     if suffix == ".mol2":
         blocks = text.split(_MOL2)[1:]
         return [f"{_MOL2}{block}" for block in blocks]
-    return [block for block in text.replace("\r\n", "\n").split("\n$$$$") if block.strip()]
+    # As RDKit, ignore what follows the signs on their line.
+    return [block for block in re.split(r"\n\$\$\$\$.*", text.replace("\r\n", "\n")) if block.strip()]
 
 
 _FARTHEST = 1e5

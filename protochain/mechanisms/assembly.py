@@ -155,12 +155,12 @@ class Assembly:
         state.__dict__["factors"] = at.factors
         return state
 
-    def mass_matrix(self, q: Coordinates = None) -> Floats:
+    def mass_matrix(self, q: Coordinates = None, time: float = 0.0) -> Floats:
         """Mass matrix M, so that the kinetic energy is qd^T M qd / 2.
 
         Parameters
         ----------
-        q : (n_q,) float, or mapping of str to float, optional
+        q, time : (n_q,) float or mapping, and float
             As of :meth:`state`.
 
         Returns
@@ -169,7 +169,7 @@ class Assembly:
             As of Pinocchio's ``crba`` and MuJoCo's ``mj_fullM``, with the inertia of rotors. Freedoms are in
             the order of ``qd``. ``bodies.freedom(hinge)`` returns their places.
         """
-        return multibody.mass_matrix(self.tree, self._phase(q, None, 0.0).factors.frames)
+        return multibody.mass_matrix(self.tree, self._phase(q, None, time).factors.frames)
 
     def bias(self, q: Coordinates = None, qd: Coordinates = None, time: float = 0.0) -> Floats:
         """Torques without acceleration: b in M qdd + b = tau.

@@ -9,6 +9,7 @@ from fixtures.command_line import run
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
+from protochain.ligands.sources import title_of
 from protochain.relaxation.poses import COLUMNS
 from protochain.validation.ligands import POSEBUSTERS
 
@@ -155,7 +156,9 @@ def test_one_pose_is_scored_without_moving_an_atom(poses, tmp_path):
     assert str(r.status) == "measured" and r.is_usable
     assert r.energy_end == r.energy_start == pytest.approx(pc.energy(s)(s.positions)[0], rel=1e-12)
     out, alone = tmp_path / "o.pdb", tmp_path / "p.pdb"
-    given = ("relax", PROTEIN, "--ligands", f"{poses}#1", "--score-only", "-o", out, "--protein-out", alone)
+    # The name of the file may be written in several ways.
+    pose = f"{poses.parent}/./{poses.name}#1"
+    given = ("relax", PROTEIN, "--ligands", pose, "--score-only", "-o", out, "--protein-out", alone)
     assert run(*given) == 0
     atoms = [
         [line[:54] for line in path.read_text().splitlines() if line.startswith("ATOM")]
@@ -178,3 +181,35 @@ def test_options_without_effect_are_refused(tmp_path, monkeypatch, given, said):
     with pytest.raises(pc.ProtochainError, match=said):
         run("relax", PROTEIN, *given)
     assert not list(Path().iterdir())
+
+
+def test_a_folder_without_a_usable_pose_has_no_proteins(poses, tmp_path, capsys):
+    bad = tmp_path / "bad.sdf"
+    bad.write_text("".join(f"{block}$$$$\n" for block in poses.read_text().split("$$$$\n")[1:5:2]))
+    given = ("relax", PROTEIN, "--ligands", bad, "--score-only", "--workers", 1, "-o", tmp_path / "out")
+    assert run(*given, "--protein-out", tmp_path / "p.pdb") == 2
+    assert not (tmp_path / "p.pdb").exists() and "p.pdb" not in capsys.readouterr().out
+
+
+def test_records_end_at_lines_that_begin_with_the_signs(poses, tmp_path):
+    path = tmp_path / "trailing.sdf"
+    path.write_text(poses.read_text().replace("$$$$", "$$$$  "))
+    for title, number in GOOD.items():
+        x = [pc.load(PROTEIN, ligands=f"{file}#{number}").positions for file in (path, poses)]
+        np.testing.assert_array_equal(*x)
+        assert title_of(f"{path}#{number}") == title
+
+
+@pytest.mark.parametrize("name", ["missing", "large", "second"])
+def test_files_of_poses_that_cannot_be_used_are_named(poses, tmp_path, name):
+    path = tmp_path / f"{name}.sdf"
+    if name == "large":
+        with path.open("wb") as file:
+            file.truncate(10_000_001)
+    elif name == "second":
+        path.write_text(poses.read_text())
+    further = ("--ligands", poses) if name == "second" else ()
+    said = {"missing": "cannot be read", "large": "too large", "second": "has several poses"}[name]
+    with pytest.raises(pc.ProtochainError, match=rf"{name}\.sdf: .*{said}.*; "):
+        run("relax", PROTEIN, *further, "--ligands", path, "--workers", 1, "-o", tmp_path / "out")
+    assert not (tmp_path / "out" / "relaxed.csv").exists()

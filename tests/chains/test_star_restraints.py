@@ -155,6 +155,10 @@ def test_missing_limits_follow_from_the_target_or_are_open(cage, read):
     limits = np.array([(r.lower, r.upper) for r in held])
     assert limits == pytest.approx(np.array([(4.3, 4.9), (4.6, 4.6), (0.0, 6.0), (3.0, 3.0)]))
     assert held[3].stiffness == (1000.0, 0.0), "a lower limit alone does not pull"
+    for potential, bounds in (("upper-bound-parabolic", (0.0, 4.9)), ("lower-bound-parabolic", (4.3, 4.3))):
+        (one,) = read(distances(rows[:1], columns, potential=potential)).listed
+        assert (one.lower, one.upper) == pytest.approx(bounds)
+        assert one.stiffness == (1000.0 if one.lower == 0.0 else (1000.0, 0.0))
 
 
 def dihedral(*limits, number=5, further="lower_limit upper_limit"):
@@ -167,7 +171,7 @@ def dihedral(*limits, number=5, further="lower_limit upper_limit"):
     return f"data_nef_test\n{table}"
 
 
-@pytest.mark.parametrize("limits", [(-70, -50), (170, -160), (-50, -70), (100, 210)])
+@pytest.mark.parametrize("limits", [(-70, -50), (170, -160), (-50, -70), (100, 210), (300, -120)])
 def test_dihedrals_are_between_their_limits_around_the_circle(cage, read, limits):
     low, high = limits
     held, phi = read(dihedral(*limits)), cage.dihedrals()["phi"][4]

@@ -598,7 +598,7 @@ def test_force_fields_and_molecules_beyond_measure_are_refused(tmp_path, monkeyp
         (smirnoff, "_LARGEST", 10, "is too large for a force field; give an .offxml file"),
         (smirnoff, "_MOST_MATCHES", 2, "fits 'CCO' too often; make it more specific"),
         (molecule, "_MOST_ATOMS", 2, "'CCO': has 3 atoms; give a small molecule"),
-        (sources, "_LARGEST", 10, "is too large for one molecule; give one of it alone"),
+        (sources, "_LARGEST", 10, "is too large for molecules; split it"),
     ):
         with monkeypatch.context() as patch, pytest.raises(pc.ProtochainError, match=said):
             patch.setattr(of, name, least)

@@ -130,6 +130,9 @@ def test_loops_and_drives_accelerate_as_in_a_run():
         slope = (run.qd[2] - run.qd[0]) / (2.0 * h)
         qdd = model.forward_dynamics(middle.q, middle.qd, time=h)
         assert qdd == pytest.approx(slope, abs=RATE_OF_STEP * np.max(np.abs(slope)))
+        # The momentum of the run is M qd, of a drive at the time.
+        p = model.mass_matrix(run.q[1], time=h) @ run.qd[1]
+        assert 0.5 * p @ run.qd[1] == pytest.approx(run.kinetic[1], rel=1e-9)
     # Other torques, which need no force of the joint, give the same accelerations.
     model = four_bar(qd=3.0).build()
     qdd = model.forward_dynamics()
