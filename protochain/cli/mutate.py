@@ -156,6 +156,9 @@ def _designs(
     with claimed_files(table), processes.started_early():
         structure = setup.load(source)
         options.print_changes(source, structure)
+        for path in filter(Path.exists, outputs):  # A refused design has no structure of an earlier run.
+            if not (source.exists() and path.samefile(source)):
+                path.unlink()
         with count_progress("mutate") as watch:
             rows = mutate_designs(structure, outputs, relaxing, setup, table, processes, watch)
     files = [*filter(Path.exists, outputs), table]

@@ -27,7 +27,7 @@ from protochain.structure.molecule.residues import NUCLEOTIDES, STANDARD
 from protochain.structure.select import is_water, sides, touching_chains
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
 from protochain.validation.interface import Score, Sides
-from protochain.validation.likeness import likeness
+from protochain.validation.likeness import preserved_distances
 
 QUALITY: Mapping[str, Score] = MappingProxyType(
     {
@@ -195,8 +195,8 @@ class Pairing(Value):
     @cached_property
     def lddt(self) -> float | None:
         """Mean lDDT of the amino acids."""
-        value: float | None = likeness(self.model, self.reference).measures["lddt"]
-        return value
+        preserved = preserved_distances(self.model, self.reference, self.matched)[-1]
+        return float(preserved.mean()) if len(preserved) else None
 
     @cached_property
     def ligand_rows(self) -> list[dict[str, Any]]:

@@ -78,13 +78,8 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     below 15 angstrom between atoms of different residues counts once.
     """
     matched = match(reference, structure)
-    atoms, model, twin = _correspondence(structure, reference, matched)
-    place = ANGSTROM_PER_NM * reference.positions[atoms]
+    atoms, model, pairs, preserved = preserved_distances(structure, reference, matched)
     residue = reference.atom_residue[atoms]
-    pairs = cKDTree(place).query_pairs(RADIUS, output_type="ndarray")
-    pairs = np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
-    model = _exchange_twins(structure, place, residue, pairs, model, twin)
-    preserved = _agreement(structure, place, pairs, model)
     of_residue = means_by(residue[pairs].ravel(), np.repeat(preserved, 2), reference.n_residues)
     lddt = np.full(structure.n_residues, np.nan)
     lddt[matched.model] = of_residue[matched.reference]
@@ -102,6 +97,18 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     }
     plain = {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
     return Likeness(plain, lddt, matched)
+
+
+def preserved_distances(
+    structure: Structure, reference: Structure, matched: Match
+) -> tuple[Integers, Integers, Integers, Floats]:
+    """Atoms (n,) of the reference and the structure, pairs (m, 2) of them, and their lDDT (m,)."""
+    atoms, model, twin = _correspondence(structure, reference, matched)
+    place, residue = ANGSTROM_PER_NM * reference.positions[atoms], reference.atom_residue[atoms]
+    pairs = cKDTree(place).query_pairs(RADIUS, output_type="ndarray")
+    pairs = np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
+    model = _exchange_twins(structure, place, residue, pairs, model, twin)
+    return atoms, model, pairs, _agreement(structure, place, pairs, model)
 
 
 def _correspondence(

@@ -141,6 +141,10 @@ def test_each_design_is_a_mutant(backbone, capsys):
         "sample_1.pdb",
     ]
     assert "exists" in refusal("mutate", "ala10.pdb", *options)
+    (backbone / "designs.fa").write_text(f">ala10, score=1.7\n{'A' * 10}\n>T=0.1, sample=1\n{'A' * 11}\n")
+    assert run("mutate", "ala10.pdb", *options, "--force", "--json") == 4
+    assert "ala10.mutants/sample_1.pdb" not in json.loads(capsys.readouterr().out)["files"]
+    assert not (backbone / "ala10.mutants" / "sample_1.pdb").exists()
     assert "give one of" in refusal("mutate", "ala10.pdb", "A:A4V", *options)
     assert "output folder" in refusal("mutate", "ala10.pdb", *options, "-o", "x.pdb")
 
