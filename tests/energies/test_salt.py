@@ -11,6 +11,7 @@ from fixtures.tolerances import NATIVE_ENERGY
 from openmm import unit
 
 import protochain as pc
+from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.energies import NativeEnergy
 
@@ -77,6 +78,16 @@ def test_no_tree_sums_pairs_that_salt_screens():
     e = pc.energy(s, salt=0.15, accuracy=1e-3, engine="native")
     assert e.opening is None
     assert "salt screens far pairs" in e.reason
+
+
+def test_many_atoms_with_salt_have_the_cutoff_of_engines_without_a_tree(monkeypatch):
+    for name, atoms in (("TREE_FROM", 50), ("FULL_UP_TO", 80)):
+        monkeypatch.setattr(defaults, name, atoms)
+    s = load("ala10.pdb")
+    e = pc.energy(s, **SALTED, threads=1)
+    assert f"cutoff {defaults.LONG_CUTOFF:g} nm" in e.reason
+    exact = pc.energy(s, **SALTED, threads=1, cutoff=defaults.LONG_CUTOFF)
+    assert e(s.positions)[0] == exact(s.positions)[0]
 
 
 def test_records_and_files_name_the_salt(run, tmp_path):

@@ -113,6 +113,8 @@ def test_caps_at_breaks_are_where_the_chain_was(absent, expected, tmp_path):
     s, charged = pc.load(path, cap="breaks"), pc.load(path)
     assert caps(s) == expected and not caps(charged)
     assert kinds(s, Kind.GAP) == [] and len(kinds(charged, Kind.GAP)) == len(expected) // 2
+    r = labels(s).index(expected[0])
+    assert s.b_factor[s.atom_residue == r][0] == s.b_factor[s.atom_residue == r - 1][0] > 0.0
     built = {str(r.facts["residue"]) for r in s.repairs if r.kind is Kind.CAP_AT_BREAK}
     assert built == {f"A:{cap}" for cap in expected}
     assert_ideal(s)
@@ -259,11 +261,33 @@ def test_rings_and_ends_with_caps_or_modified_residues_get_none(name):
     assert s.fingerprint == before.fingerprint and np.array_equal(s.positions, before.positions)
 
 
-def test_other_bonds_of_an_end_and_nucleotides_are_not_capped():
+def test_other_bonds_of_an_end_and_nucleotides_are_not_capped(tmp_path):
     assert caps(pc.load(shared("2n0n_lactam.pdb"), cap="all")) == ["ACE0"]
+    # Lysine 5 has the lactam.
+    lines = cut(path := tmp_path / "cut.pdb", 1, 3, 4, source=shared("2n0n_lactam.pdb")).read_text()
+    path.write_text("".join(line for line in lines.splitlines(True) if line[17:26] != "AIB A   2"))
+    s = pc.load(path, cap="all")
+    assert not caps(s) and kinds(s, Kind.NOT_CAPPED)
     s = pc.load(STRUCTURES / "1ysa.pdb", cap="all")
-    assert len(caps(s)) == 4
+    assert caps(s) == ["ACE224", "NME282", "ACE223", "NME281"]
     assert set(s.residue_chain[np.isin(s.residue_name, ["ACE", "NME"])].tolist()) == {"C", "D"}
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "absent", "expected"),
+    [(76, "OXT", 20, ["ACE0"]), (35, "O", 36, ["ACE0", "ACE36", "NME77"])],
+)
+def test_the_oxygen_of_a_metal_stays(number, name, absent, expected, tmp_path):
+    """Without zinc glycine 35 gets a methylamide, for which its oxygen turns."""
+    path = cut(tmp_path / "cut.pdb", absent)
+    last = next(r for r in gemmi.read_structure(str(path))[0][0] if r.seqid.num == number)
+    oxygen, carbon = last[name][0].pos, last["C"][0].pos
+    zinc = oxygen + (oxygen - carbon) * (2.1 / oxygen.dist(carbon))
+    ion = "HETATM 9000 ZN    ZN A 200    " + "".join(f"{value:8.3f}" for value in zinc.tolist())
+    path.write_text(path.read_text().replace("MASTER", f"{ion}  1.00 10.00          ZN\nMASTER"))
+    s = pc.load(path, cap="all")
+    assert [cap for cap in caps(s) if cap[3:] not in ("20", "21")] == expected
+    assert place(s, f"GLY{number}", name) == pytest.approx(np.array(oxygen.tolist()) / 10.0, abs=1e-6)
 
 
 def test_a_mirror_image_gets_mirror_images_of_the_caps(tmp_path):

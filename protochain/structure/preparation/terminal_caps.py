@@ -74,7 +74,7 @@ def cap_ends(draft: Draft) -> Changes:
             if is_stated and not end.gap and requested != "all":
                 remedy = Argument("cap", "all"), " caps it"
                 raise StructureError("the sequence of the file ends there; ", *remedy)
-            cap = yield from _build(draft, end, length)
+            cap = yield from _build(draft, end)
         except StructureError as error:
             yield Repair.of(Kind.NOT_CAPPED, residue=end.member.residue, why=error)
             charged += [end.gap] if end.gap else []
@@ -97,12 +97,16 @@ def _ends(draft: Draft) -> Iterator[_End]:
             ends = [gap for gap in gaps if gap.facts[side].place == member.residue.place]
             if cap.name == "ACE" and member.name != "PRO":
                 cap = cap._replace(opposite=())
-            is_bonded = {cap.frame[-1], "OXT"} & {a.name for a in (*member.links, *member.metals)}
-            if not (member.is_cap or is_bonded):
+            if not (member.is_cap or {cap.frame[-1], "OXT"} & _bonded(member)):
                 yield _End(part, member, cap, ends[0] if ends else None)
 
 
-def _build(draft: Draft, end: _End, length: int) -> Generator[Repair, None, Member]:
+def _bonded(member: Member) -> set[str]:
+    """Return the names of atoms with bonds to metals and other molecules."""
+    return {a.name for a in (*member.links, *member.metals)}
+
+
+def _build(draft: Draft, end: _End) -> Generator[Repair, None, Member]:
     """Return a cap at the torsion closest to the usual one that has room, and remove the charged end."""
     member, cap = end.member, end.cap
     if member.name not in residues.STANDARD or member.source is not None:
@@ -113,7 +117,8 @@ def _build(draft: Draft, end: _End, length: int) -> Generator[Repair, None, Memb
     turns = _TURNS + (-torsion if member.is_d else torsion)
     opposite = [at[name] for name in cap.opposite if name in at]
     if opposite:
-        turns = _TURNS[: 1 if cap.step < 0 else None] + float(dihedral(a, b, c, opposite[0])) + np.pi
+        stays = cap.step < 0 or "O" in _bonded(member)
+        turns = _TURNS[: 1 if stays else None] + float(dihedral(a, b, c, opposite[0])) + np.pi
         inner = float(np.arccos(np.clip(unit(b - c) @ unit(opposite[0] - c), -1.0, 1.0)))
         angle = cap.share * (2.0 * np.pi - inner)
     # Positions (n, 3) at n torsions. O turns with a methylamide.
@@ -137,7 +142,7 @@ def _build(draft: Draft, end: _End, length: int) -> Generator[Repair, None, Memb
     atoms = [atom(name, name[0], np.round(p[chosen], 4).tolist(), b_iso) for name, p in x.items()]
     number, code = _free_number(draft, member, cap.step)
     label = member.label[0], (member.label[1] or -1) + cap.step
-    is_free = 0 < label[1] <= length and label not in {m.label for m in draft.members}
+    is_free = label[1] > 0 and label not in {m.label for m in draft.members}
     new_label = label if is_free else (label[0], None)
     return Member(cap.name, f"{number}", code, member.chain_id, atoms, label=new_label, raw_name=cap.name)
 
