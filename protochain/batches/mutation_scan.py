@@ -37,68 +37,48 @@ _MOST = 15.0
 """kJ/mol at which the colours of the heat map saturate, about 3.6 kcal/mol."""
 
 
+Mutant = tuple[Mapping[str, Any], Mapping[int, str] | str, Path | None]
+"""First columns of its row, new residues or a sequence, and a file to write."""
+
+
 @dataclass(frozen=True)
-class SiteJob:
-    """All mutations of a residue, for a process."""
+class MutantJob:
+    """Mutants for a process."""
 
     task: Path  # Pickled structure and settings.
-    residue: int
-    letters: str  # New residues, as one-letter codes.
+    mutants: Sequence[Mutant]
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Build and relax each mutant. Mutants with the same moving residues share the wild type."""
         structure, relaxing, setup = load_shared(self.task)
         relaxations: dict[tuple[Any, ...], Relaxation] = {}
-        for letter in self.letters:
-            names = {self.residue: LETTERS[letter]}
+        for mutant in self.mutants:
+            first_columns, change, output = mutant
             try:
+                names = thread_sequence(structure, change) if isinstance(change, str) else change
+                if not names:  # The first record of ProteinMPNN is the input. A residue becomes itself.
+                    amino = (r for r, name in enumerate(structure.residue_name.tolist()) if name in STANDARD)
+                    names = {r: str(structure.residue_name[r]) for r in itertools.islice(amino, 1)}
                 mutation = mutate_at(structure, names, relaxing, replace(setup, threads=threads), relaxations)
-                yield _site(structure, self.residue, letter) | mutation.record()
+                if output and mutation.mutant.is_usable:
+                    mutation.save(output)
+                yield {**first_columns, **mutation.record()}
             except Exception as error:
-                yield _failed_row(structure, self.residue, letter, *reason(error))
+                yield _failed_row(structure, mutant, *reason(error))
 
     def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
         """Rows of the missing mutants, if the process ended."""
         structure = load_shared(self.task)[0]
-        return [
-            _failed_row(structure, self.residue, letter, status, message)
-            for letter in self.letters[len(finished_rows) :]
-        ]
+        missing = self.mutants[len(finished_rows) :]
+        return [_failed_row(structure, mutant, status, message) for mutant in missing]
 
 
-@dataclass(frozen=True)
-class DesignJob:
-    """A mutant with the sequence of a design, for a process."""
-
-    task: Path  # Pickled structure and settings.
-    record: str  # Name of the design.
-    sequence: str
-    output: Path
-
-    def run(self, threads: int) -> Iterator[dict[str, Any]]:
-        """Build and relax the mutant, and write it."""
-        structure, relaxing, setup = load_shared(self.task)
-        try:
-            names = thread_sequence(structure, self.sequence)
-            if not names:  # The first record of ProteinMPNN is the input. A residue becomes itself.
-                amino = (r for r, name in enumerate(structure.residue_name.tolist()) if name in STANDARD)
-                names = {r: str(structure.residue_name[r]) for r in itertools.islice(amino, 1)}
-            mutation = mutate_at(structure, names, relaxing, replace(setup, threads=threads), {})
-            if mutation.mutant.is_usable:
-                mutation.save(self.output)
-            yield {"record": self.record} | mutation.record()
-        except Exception as error:
-            yield self._failed_row(*reason(error))
-
-    def lost(self, finished_rows: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
-        """Row of the missing mutant, if the process ended."""
-        return [] if finished_rows else [self._failed_row(status, message)]
-
-    def _failed_row(self, status: str, message: str) -> dict[str, Any]:
-        empty = dict.fromkeys(column.key for column in COLUMNS)
-        structure = load_shared(self.task)[0].name
-        state = {"structure": structure, "status": status, "message": message}
-        return {"record": self.record} | empty | state
+def _failed_row(structure: Structure, mutant: Mutant, status: str, message: str) -> dict[str, Any]:
+    first_columns, change, _ = mutant
+    row = {**first_columns, **dict.fromkeys(column.key for column in COLUMNS), "structure": structure.name}
+    if not isinstance(change, str):
+        row["mutations"] = ",".join(mutation_label(structure, r, name) for r, name in change.items())
+    return row | {"status": status, "message": message}
 
 
 def mutate_designs(
@@ -109,11 +89,11 @@ def mutate_designs(
     rows: Rows = []
     names = [name for name, _ in outputs.values()]
     with shared_file((structure, relaxing, setup)) as task:
-        jobs = [DesignJob(task, *design, path.absolute()) for path, design in outputs.items()]
-        for _, rows_of_job in run_jobs(jobs, processes):
+        mutants = [({"record": name}, letters, path.absolute()) for path, (name, letters) in outputs.items()]
+        for _, rows_of_job in run_jobs([MutantJob(task, [mutant]) for mutant in mutants], processes):
             rows = sorted([*rows, *rows_of_job], key=lambda row: names.index(row["record"]))
             write_atomically(table, partial(pd.DataFrame(rows).to_csv, index=False))
-            watch(len(rows), len(jobs))
+            watch(len(rows), len(mutants))
     return rows
 
 
@@ -121,12 +101,6 @@ def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
     residue = structure.residue(r)
     wild = STANDARD[str(structure.residue_name[r])]
     return dict(zip(_SITE, (residue.chain, residue.number, wild, letter), strict=True))
-
-
-def _failed_row(structure: Structure, r: int, letter: str, status: str, message: str) -> dict[str, Any]:
-    columns = {"structure": structure.name, "mutations": mutation_label(structure, r, LETTERS[letter])}
-    empty = dict.fromkeys(column.key for column in COLUMNS)
-    return _site(structure, r, letter) | empty | columns | {"status": status, "message": message}
 
 
 def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str]]:
@@ -197,7 +171,10 @@ def rows_of(
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
     """Rows of mutants, as they are finished."""
     with shared_file((structure, relaxing, setup)) as path:
-        site_jobs = [SiteJob(path, *job) for job in jobs]
+        site_jobs = [
+            MutantJob(path, [(_site(structure, r, new), {r: LETTERS[new]}, None) for new in letters])
+            for r, letters in jobs
+        ]
         for _, rows in run_jobs(site_jobs, processes, setup.threads):
             yield from rows
 
