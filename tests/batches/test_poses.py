@@ -183,6 +183,25 @@ def test_options_without_effect_are_refused(tmp_path, monkeypatch, given, said):
     assert not list(Path().iterdir())
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_row_is_of_the_pose_not_of_a_ligand_added_to_all(poses, tmp_path, is_first):
+    both, same = tmp_path / "both.sdf", tmp_path / "same.sdf"
+    both.write_text("$$$$\n".join(poses.read_text().split("$$$$\n")[:2]) + "$$$$\n")
+    same.write_text(posed("CCN", "in all", 1.2))
+    files = (same, both) if is_first else (both, same)
+    given = ("relax", PROTEIN, "--ligands", files[0], "--ligands", files[1], "--score-only", "--workers", 1)
+    assert run(*given, "-o", tmp_path / "out") == 4
+    table = pd.read_csv(tmp_path / "out" / "poses.csv")
+    assert table["title"].tolist() == ["first of two", "broken"]
+    assert table["message"][1].startswith("broken: ")
+    s = pc.load(PROTEIN, ligands=[same, f"{both}#1"])
+    pose = [ligand for ligand in s.ligands if ligand.ligand.molecule.source == f"{both}#1"]
+    residue = s.residue(int(s.atom_residue[pose[0].atoms[0]]))
+    expected = pc.validate(s).ligands[[*s.ligands].index(pose[0])].strain_kj_mol
+    assert (table["chain"][0], str(int(table["residue"][0]))) == (residue.chain, residue.number)
+    assert table["strain_start_kj_mol"][0] == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_folder_without_a_usable_pose_has_no_proteins(poses, tmp_path, capsys):
     bad = tmp_path / "bad.sdf"
     bad.write_text("".join(f"{block}$$$$\n" for block in poses.read_text().split("$$$$\n")[1:5:2]))

@@ -226,6 +226,21 @@ def test_nmr_star_is_read_as_nef(cage, read):
     rows = [(7, ".", "A", 3, "TYR", "HB2", "HBx", "A", *ends[1][0], "HZ1", ".", 1.8, 3.0)]
     r = effective(cage, ((3, "HB2 HB3"), (8, "HZ1")))
     assert 10.0 * read(star(rows, form)).values(cage.positions)[0] == pytest.approx(r, rel=1e-12)
+    # Chains and numbers of the archive's structure precede the author's.
+    form = f"PDB_strand_ID_{{0}} PDB_residue_no_{{0}} {STAR_ATOM}"
+    rows = [(7, ".", "A", 3, "X", 103, "TYR", "HA", "A", 8, "X", 108, "LYS", "HA", ".", 1.8, 3.0)]
+    r = effective(cage, ((3, "HA"), (8, "HA")))
+    assert 10.0 * read(star(rows, form)).values(cage.positions)[0] == pytest.approx(r, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name, pattern", [("H5x", "H5'*"), ("H5'y", "H5'*"), ("H2'x", "H2'*"), ("H6x", "H6+#")]
+)
+def test_primes_of_sugars_distinguish_their_hydrogens(tmp_path, name, pattern):
+    path = tmp_path / "dna.nef"
+    path.write_text(distances([(1, (2, "DG", f'"{name}"'), (3, "DC", "H6"), 4.0)]))
+    (restraint,) = read_restraints(path)
+    assert restraint.places == (f"atom A 2 {pattern} and resname DG", "atom A 3 H6 and resname DC")
 
 
 def test_torsions_of_nmr_star_are_dihedrals(cage, read):

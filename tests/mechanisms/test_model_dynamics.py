@@ -154,6 +154,7 @@ def test_angles_are_in_the_unit_of_the_mechanism():
     # M = m l^2 + I, and the torque of the weight is m g l sin(angle).
     assert model.mass_matrix({"pin": 30.0})[0, 0] == pytest.approx(2.5)
     assert model.bias({"pin": 30.0})[0] == pytest.approx(2.0 * 9.81 * 0.5)
+    assert model.forward_dynamics({"pin": 0.0}, None, {"pin": 2.5})[0] == pytest.approx(1.0)
     assert model.inverse_dynamics({"pin": 0.0}, None, {"pin": 90.0})[0] == pytest.approx(2.5 * np.pi / 2.0)
 
 
