@@ -1,5 +1,6 @@
 """``protochain mutate``."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -11,6 +12,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import options
 from protochain.cli.lines import Kind, tell, with_detail
 from protochain.cli.relax import Resume, Workers
+from protochain.cli.rows import print_rows
 from protochain.core import defaults
 from protochain.core.checks import designs, sequences
 from protochain.core.errors import ProtochainError
@@ -137,13 +139,20 @@ def _print(mutation: "Mutation") -> None:
     )
 
 
+def _print_rows(columns: Sequence[str], rows: Sequence[dict[str, Any]], *files: Path | None) -> None:
+    """Print the columns of mutants that have a value, and the written files."""
+    shown = [key for key in columns if any(row[key] is not None for row in rows)]
+    print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
+    tell(Kind.RESULT, _MEANING)
+    options.print_files(*files)
+
+
 def _designs(
     source: Path, several: list[tuple[str, str]], output: Path | None, relaxing: RelaxSettings, setup: Setup,
     processes: "Processes", as_json: bool, force: bool,
 ) -> int:  # fmt: skip
     """Write the mutant of each design, and a table of all, to a folder. Return the exit status."""
     from protochain.batches.mutation_scan import mutate_designs
-    from protochain.cli.rows import print_rows
     from protochain.cli.terminal import count_progress
 
     stem, suffix = options.named_after(source)
@@ -165,10 +174,7 @@ def _designs(
     if as_json:
         options.print_json({"input": str(source), "results": rows, "files": [*map(str, files)]})
     else:
-        shown = ["record", *(key for key in _SHOWN[1:] if any(row[key] is not None for row in rows))]
-        print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
-        tell(Kind.RESULT, _MEANING)
-        options.print_files(table)
+        _print_rows(["record", *_SHOWN[1:]], rows, table)
     return options.exit_status(row["status"] for row in rows)
 
 
@@ -180,7 +186,6 @@ def _scan(
     """Scan sites. Write the table, and the page with the heat map."""
     from protochain.batches.cluster import Processes
     from protochain.batches.mutation_scan import heat_map, run_scan
-    from protochain.cli.rows import print_rows
     from protochain.cli.terminal import count_progress
 
     table = output or Path(f"{options.named_after(source)[0]}.mutations.csv")
@@ -206,10 +211,7 @@ def _scan(
         entries = {"input": str(source), "sites": sites, "into": into}
         options.print_json(entries | {"results": rows, "files": files})
     elif rows:
-        shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
-        print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
-        tell(Kind.RESULT, _MEANING)
-        options.print_files(table, report)
+        _print_rows(_SHOWN, rows, table, report)
     if interrupted:
         return options.fail("interrupted. Continue with --resume", options.INTERRUPTED)
     return options.exit_status(row["status"] for row in rows)

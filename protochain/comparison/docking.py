@@ -346,6 +346,9 @@ def _numberings(
             # Molecules of as many atoms and bonds are equal if one contains the other.
             places = other.GetSubstructMatches(graph, uniquify=False, maxMatches=_MOST_ORDERS)
             is_equal = graph.GetNumBonds() == other.GetNumBonds()
+            if is_equal and len(places) == _MOST_ORDERS:
+                ligand = reference.describe_residue(reference.atom_residue[order[0]])
+                warnings.warn(f"{ligand}: too symmetric, so that its RMSD may be too large", stacklevel=4)
             orders = [model_molecules[j][[*place]] for place in places if is_equal]
         if len(order) and orders:
             numberings[i, j] = order, np.array(orders)

@@ -216,6 +216,12 @@ def test_a_ligand_that_moves_has_its_rmsd(bound):
     assert row["ca_rmsd_2_angstrom"] is None
 
 
+def test_a_ligand_with_too_many_orders_is_reported(bound, monkeypatch):
+    monkeypatch.setattr("protochain.comparison.docking._MOST_ORDERS", 1)
+    with pytest.warns(UserWarning, match="B:LIG1: too symmetric"):
+        pc.complex_quality(bound, bound)
+
+
 def test_a_far_ligand_does_not_remove_the_lddt_of_another(bound):
     """It has no contact, and the mean is of ligands that have one. Tables without ligands have columns."""
     sdf = str(STRUCTURES / "1MEH_MOA.sdf")
