@@ -75,12 +75,7 @@ def _command(name: str) -> Any:
     return get_command(alone)
 
 
-app = typer.Typer(
-    cls=_Commands,
-    rich_markup_mode=None,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(cls=_Commands, rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True)

@@ -139,8 +139,7 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
     if not isinstance(setup.model, str):
         if one_file:
             raise ProtochainError(
-                Argument("one_file"),
-                " requires several models, as by --model all or --model 1-5",
+                Argument("one_file"), " requires several models, as by --model all or --model 1-5"
             )
         return [(setup, output)]
     if str(source) == "-":

@@ -131,12 +131,7 @@ def _print(mutation: "Mutation") -> None:
         f"energy {mutation.change:+.1f} kJ/mol in the protein{peptide}",
         *([] if bound is None else [f"change of the energy of binding: {bound:+.1f} kJ/mol"]),
     )
-    tell(
-        Kind.RESULT,
-        f"wild type: {mutation.wild.message}",
-        f"mutant: {mutation.mutant.message}",
-        _MEANING,
-    )
+    tell(Kind.RESULT, f"wild type: {mutation.wild.message}", f"mutant: {mutation.mutant.message}", _MEANING)
 
 
 def _print_rows(columns: Sequence[str], rows: Sequence[dict[str, Any]], *files: Path | None) -> None:

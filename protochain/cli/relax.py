@@ -110,19 +110,8 @@ def relax(
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        _several(
-            inputs or [],
-            output,
-            manifest,
-            relaxing,
-            setup,
-            ligand_out,
-            protein_out,
-            processes,
-            as_json,
-            resume,
-            force,
-        )
+        outputs = output, ligand_out, protein_out
+        _several(inputs or [], manifest, outputs, relaxing, setup, processes, as_json, resume, force)
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
@@ -228,9 +217,8 @@ def _report_trajectories(inputs: list[str]) -> None:
 
 
 def _several(
-    inputs: list[str], output: Path | None, manifest: Path | None, relaxing: RelaxSettings, setup: Setup,
-    ligand_out: Path | None, protein_out: Path | None, processes: dict[str, Any], as_json: bool, resume: bool,
-    force: bool,
+    inputs: list[str], manifest: Path | None, outputs: tuple[Path | None, ...], relaxing: RelaxSettings,
+    setup: Setup, processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
 ) -> None:  # fmt: skip
     """Relax many files into a folder, write poses and proteins to a file each, and exit with the status."""
     from protochain.batches.batch_structures import relax_files
@@ -242,13 +230,14 @@ def _several(
     from protochain.structure.ligand_files import check_ligand_file
     from protochain.structure.write import check_format, save_proteins
 
+    output, *extras = outputs
+    ligand_out, protein_out = extras
     folder = Path("relaxed") if output is None else output
     options.check_folder(folder, "structures")
     if ligand_out:
         check_ligand_file(ligand_out)
     if protein_out:
         check_format(protein_out)
-    extras = [ligand_out, protein_out]
     files = replaceable_files(folder, RELAXED, resume, force)
     options.check_outputs([manifest], [*files, *extras], setup, new=[] if resume or force else extras)
     _report_trajectories(inputs)

@@ -50,8 +50,7 @@ def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, label, shape)
     if np.any(array < 0.0):
         raise MechanicsError(
-            f"{label} {brief(value)}: give none below zero, which would create energy",
-            fault=Fault.NEGATIVE,
+            f"{label} {brief(value)}: give none below zero, which would create energy", fault=Fault.NEGATIVE
         )
     return array
 

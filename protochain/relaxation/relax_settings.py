@@ -65,10 +65,7 @@ class RelaxSettings(Settings):
         True, "Whether the output has hydrogens.", flag, bool, "--keep-hydrogens/--strip-hydrogens"
     )
     repack: bool = setting(
-        False,
-        "First repack side chains that clash, or are far from every rotamer.",
-        flag,
-        bool,
+        False, "First repack side chains that clash, or are far from every rotamer.", flag, bool
     )
     posebusters: bool = setting(
         False, "Run PoseBusters' tests on ligands before and after, in seconds for each.", flag, bool
