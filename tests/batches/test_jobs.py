@@ -23,7 +23,7 @@ PLAIN = {
     "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
     "hinges": "phi psi chi", "root": "auto", "move": "all", "rigid_protein": False, "forcefield": "amber14",
     "solvent": "obc2", "salt": 0.0, "engine": "auto", "device": "auto", "terms": "all", "cutoff": "auto",
-    "accuracy": "auto",
+    "accuracy": "auto", "calculator": None,
     "trust_forcefield": False,
     "model": None,
     "assembly": "", "altloc": "",
@@ -47,7 +47,7 @@ MINIMISING = {
 """Those that ``relax`` does not have."""
 
 FIELDS = {
-    "restraints": "restraint", "starts": "n_starts",
+    "restraints": "restraint", "starts": "n_starts", "energy": "calculator",
 }  # fmt: skip
 """Fields by names of columns that are others."""
 
@@ -132,7 +132,7 @@ LINE = "distance A:1:CA A:10:CA 0 6 1000"
 
 @pytest.mark.parametrize(
     ("old", "new", "cell"),
-    [("chain", "chains", "A"), ("energy", "terms", "nonbonded"), ("ligand", "ligands", "ABC=CCO"),
+    [("chain", "chains", "A"), ("calculator", "energy", "xtb"), ("ligand", "ligands", "ABC=CCO"),
      ("restrain", "restraints", LINE), ("restraint", "restraints", "100 0")],
 )  # fmt: skip
 def test_a_manifest_has_former_names_of_columns(old, new, cell):
@@ -195,7 +195,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "restraints": "5 0", "curvature": "no", "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "salt": "0.15", "engine": "native", "device": "cpu", "cutoff": "2.5", "accuracy": "1e-3",
-        "rigid_protein": "no",
+        "rigid_protein": "no", "energy": "xtb",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chains": "A, B", "terms": "nonbonded",
         "ligands": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes", "cap": "ends",
@@ -205,7 +205,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "salt": 0.15, "engine": "native", "device": "cpu", "cutoff": 2.5, "accuracy": 1e-3,
-        "rigid_protein": False,
+        "rigid_protein": False, "calculator": "xtb",
         "model": 2, "assembly": "1", "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
