@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import signal
 import sys
 from importlib import metadata
@@ -156,13 +157,18 @@ READ = {
 }
 """Options and arguments that name what a command reads, and how they are given."""
 
+RESTRAINTS = "--restraint-csv {0} --restraints 'distance A:1:CA A:5:CA 5 6'"
+PROTEINS = f"--protein-out {{0}} --ligand-poses {STRUCTURES / '1MEH_MOA.sdf'}"
 WRITTEN = {
     "minimise": {
         "output": ("-o {0}", "a.pdb"), "checkpoint": ("--checkpoint {0}", "a.npz"),
         "trace": ("--trace {0}", "a.csv"), "trajectory": ("--trajectory {0}", "a.dcd"),
-        "report": ("--report {0}", "a.html"),
+        "report": ("--report {0}", "a.html"), "restraint_csv": (RESTRAINTS, "a.csv"),
     },
-    "relax": {"output": ("-o {0}", "a.pdb"), "report": ("--report {0}", "a.html")},
+    "relax": {
+        "output": ("-o {0}", "a.pdb"), "report": ("--report {0}", "a.html"),
+        "restraint_csv": (RESTRAINTS, "a.csv"), "protein_out": (PROTEINS, "a.pdb"),
+    },
     "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
@@ -234,7 +240,10 @@ def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_
             ("compare", "reference"), ("validate", "reference"), ("score", "reference"),
         )  # fmt: skip
         said = refusal(
-            command, *(["in.pdb"] * lacks), *asked.split(), *WRITTEN[command][written][0].format(file).split()
+            command,
+            *(["in.pdb"] * lacks),
+            *asked.split(),
+            *shlex.split(WRITTEN[command][written][0].format(file)),
         )
         assert (
             "is the input" in said or "is inside the output folder" in said or "contains a batch" in said
