@@ -63,15 +63,27 @@ def print_rows(headings: Iterable[str], rows: Iterable[Sequence[Any]], texts: in
     from rich.markup import escape
     from rich.table import Table
 
+    names, cells = [*headings], [[_text(value) for value in row] for row in rows]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for k, heading in enumerate(headings):
+    least = 0
+    for k, (name, *column) in enumerate(zip(names, *cells, strict=True)):
+        longest = max(map(len, (name, *column)))
+        width = min(longest, _FOLDED) if k < texts else longest
+        least += width + 1
         if k < texts:
-            table.add_column(heading, overflow="fold", min_width=0 if k else 14)
+            table.add_column(name, overflow="fold", min_width=width)
         else:
-            table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(escape(_text(value)) for value in row))
-    printer().print(table, crop=False)
+            table.add_column(name, justify="right", no_wrap=True)
+    for row in cells:
+        table.add_row(*map(escape, row))
+    # On narrow terminals, rich would cut off numbers and their headings.
+    console = printer()
+    console.width = max(console.width, least)
+    console.print(table, crop=False)
+
+
+_FOLDED = 30
+"""Width to which texts of a table are folded on narrow terminals."""
 
 
 def _text(value: Any) -> str:

@@ -67,13 +67,16 @@ def test_values_of_options_and_arguments_have_few_names():
     }  # fmt: skip
 
 
+LONG = re.compile("--")
+
+
 def test_help_names_options_that_there_are_and_what_is_used_most_comes_first():
     known = {param.name for command in COMMANDS.values() for param in command.params}
     grouped = {name for names in _GROUPS.values() for name in names.split()}
     assert {*_FIRST} <= known and grouped <= known
     for name, command in COMMANDS.items():
         shown = CliRunner().invoke(command, ["--help"]).output
-        own = {param.name: max(param.opts, key=len) for param in command.params}
+        own = {param.name: ([*filter(LONG.match, param.opts)] or param.opts)[0] for param in command.params}
         first = [own[each] for each in _FIRST if each in own and own[each].startswith("--")][:_FEW]
         part = shown.partition("Used most:")[2].split("\n\n")[0]
         assert re.findall(r"(?m)^  (?:-\w, )?(--[\w-]+)", part) == first, name

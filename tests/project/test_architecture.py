@@ -46,7 +46,8 @@ MOST_ARROWS = 83
 MOST_LINES = 74280
 """Of the package. A capability arrives with something that goes; more takes a reason in the commit. The
 files of restraints, MJCF and armature came with the rejected results. The bounds of KCM and the kinds of
-terminal lines came later. Quality against a reference, caps, salt, poses, NEF and energies by name followed."""
+terminal lines came later. Quality against a reference, caps, salt, poses, NEF and
+energies by name followed."""
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
 
 

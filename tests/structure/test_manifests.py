@@ -13,7 +13,7 @@ from fixtures.samples import MORE_STRUCTURES, load
 from scipy.spatial.distance import pdist
 
 import protochain as pc
-from protochain.core.checks import sequences
+from protochain.core.checks import designs, sequences
 from protochain.energies.decomposed import residues_of
 from protochain.structure.molecule.repairs import Kind
 
@@ -56,11 +56,11 @@ def has_three_waters(path: Path) -> None:
 
 
 def has_designs(path: Path) -> None:
-    with pytest.raises(pc.ProtochainError, match="has 3 records"):
-        sequences(path, "sequence")
+    native, *samples = designs(sequences(path, "sequence"))
+    assert native[1] == f"A={21 * 'G'}/B={30 * 'G'}" and len(samples) == 2
     for number, last in ((2, "T"), (3, "A")):
         first, second = sequences(f"{path}#{number}", "sequence").split("/")
-        assert (len(first), len(second), second[-1]) == (21, 30, last)
+        assert (len(first), len(second), second[-1]) == (len("A=") + 21, len("B=") + 30, last)
     with pytest.raises(pc.ProtochainError, match="has 3 records"):
         sequences(f"{path}#4", "sequence")
     s = pc.Setup(sequence=f"{path}#2").load(path.with_name("c79_bb.pdb"))

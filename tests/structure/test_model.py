@@ -185,16 +185,17 @@ def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
     a, b, c = (made(("N", "C", "SG")) for _ in range(3))
     d, e = made(("P", "O3'")), made(("P", "O3'"))
     parts = [Part("A", [a, b]), Part("A", [c], cyclic=False), Part("A", [d, e], evidence=Evidence.ELEMENTS)]
-    done = [(m, strand if m in (d, e) else inner) for m in (a, b, c, d, e)]
-    at = _indices(done)
+    draft = Draft("x", "x", parts)
+    draft.states = [(m, strand if m in (d, e) else inner) for m in (a, b, c, d, e)]
+    at = _indices(draft)
     assert at[id(a)] == {"N": 0, "C": 1, "SG": 2} and at[id(e)] == {"P": 11, "O3'": 12} and len(at) == 5
-    links = [Link(b, b.atoms[1], e, e.atoms[0])]
-    pairs = _bonds(Draft("x", "x", parts), done, [(c, a)], links, at).tolist()
+    draft.other_links, draft.bridges = [Link(b, b.atoms[1], e, e.atoms[0])], [(c, a)]
+    pairs = _bonds(draft, at).tolist()
     assert sorted(pairs) == [
         [0, 1], [0, 2], [1, 3], [2, 8], [3, 4], [3, 5], [4, 11], [6, 7], [6, 8], [9, 10], [10, 11], [11, 12],
     ]  # fmt: skip
     parts[0].cyclic = True
-    assert [0, 4] in _bonds(Draft("x", "x", parts), done, [], [], at).tolist()
+    assert [0, 4] in _bonds(draft, at).tolist() and [0, 4] not in pairs
 
 
 def test_bonded_atoms_in_one_place_are_named():
