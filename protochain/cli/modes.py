@@ -116,6 +116,8 @@ def _print(analysis: "NormalModes", record: dict[str, Any]) -> None:
     print(f"frequencies of {analysis.n_modes} modes: {shown}{ellipsis} 1/cm")
     if record["b_factor_correlation"] is not None:
         print(f"correlation of B factors with those of the file: {record['b_factor_correlation']:.2f}")
+    elif record["b_factor_column"] != "B factor":
+        print(f"column of B factors in the file: {record['b_factor_column']}, not compared")
     if "cumulative_overlap" in record:
         print(f"share of the change to {record['other']}: {record['cumulative_overlap']:.3f}")
     if record["entropy_kj_mol_k"] is not None:

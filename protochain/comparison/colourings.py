@@ -12,9 +12,6 @@ from protochain.results.columns import heading
 from protochain.results.viewer import Colouring
 from protochain.structure import Structure
 
-OF_INPUT = "B factor or confidence of the input"
-"""The column of B factors of the file, in which predictors write their confidence."""
-
 
 def colourings(
     ends: Mapping[str, Structure], energy: Energy, changes: Mapping[str, Differences] | None = None
@@ -31,7 +28,8 @@ def colourings(
         turned = {name: _of_residues(start, change, "torsions_degrees") for name, change in changes.items()}
         result.append(Colouring("change of torsions, degrees", turned))
     if np.nan_to_num(start.b_factor).any():
-        result.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
+        quantity = start.b_factor_quantity.replace("unknown", "B factor or confidence")
+        result.append(Colouring(f"{quantity} of the input", dict.fromkeys(ends, _mean_b_factor(start))))
     return result
 
 

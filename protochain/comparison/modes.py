@@ -21,6 +21,7 @@ from protochain.mechanics.multibody import HingeKind
 from protochain.minimisers.solution import alpha_residues
 from protochain.structure import Structure
 from protochain.structure.matching import match, structure_to_measure
+from protochain.structure.molecule.model import B_FACTOR
 from protochain.structure.superpose import motion
 
 FLAT = 1.0
@@ -208,7 +209,7 @@ class NormalModes(Value):
         pandas.DataFrame
             Chain, number and name, root mean square displacement of the C-alpha in angstrom, and B factors
             in angstrom^2: 8 pi^2/3 of its square for the C-alpha, the mean over the residue's heavy atoms,
-            and the C-alpha's B factor in the file.
+            and the C-alpha's B factor in the file, NaN if the file has another quantity there.
 
         Raises
         ------
@@ -224,17 +225,22 @@ class NormalModes(Value):
             ca_fluctuation_angstrom=np.sqrt(squares[alpha]),
             ca_b_factor_angstrom2=_B * squares[alpha],
             b_factor_angstrom2=_B * means[s.atom_residue[alpha]],
-            ca_b_factor_in_file_angstrom2=s.b_factor[alpha],
+            ca_b_factor_in_file_angstrom2=self._in_file,
         )
 
     @property
     def b_factor_correlation(self) -> float | None:
         """Pearson's correlation of the C-alphas' B factors with the file's, None without B factors."""
         alpha = self.chain.structure.alpha_carbons
-        in_file = self.chain.structure.b_factor[alpha]
-        if len(alpha) < 3 or not np.ptp(in_file) > 0.0 or not self.is_stable:
+        if len(alpha) < 3 or not np.ptp(self._in_file) > 0.0 or not self.is_stable:
             return None
-        return float(np.corrcoef(self.mean_squares()[alpha], in_file)[0, 1])
+        return float(np.corrcoef(self.mean_squares()[alpha], self._in_file)[0, 1])
+
+    @property
+    def _in_file(self) -> Floats:
+        """B factors of the C-alphas in the file, NaN if its column has another quantity."""
+        s = self.chain.structure
+        return np.where(s.b_factor_quantity == B_FACTOR, s.b_factor[s.alpha_carbons], np.nan)
 
     def overlap(self, other: Any) -> Floats:
         """Overlap of each mode with the change to another structure.

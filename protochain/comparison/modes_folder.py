@@ -42,6 +42,7 @@ COLUMNS = (
     Column("n_negative", lambda m: m.n_negative),
     Column("lowest_frequency_per_cm", lambda m: float(m.frequencies[0]), kind=float | None),
     Column("b_factor_correlation", lambda m: m.b_factor_correlation, kind=float | None),
+    Column("b_factor_column", lambda m: m.chain.structure.b_factor_quantity),
     Column("largest_stable_step_ps", lambda m: m.largest_stable_step),
     Column("largest_residual", lambda m: float(np.max(m.residuals)), kind=float | None),
     Column("max_torque_kj_mol_rad", lambda m: m.max_torque),

@@ -5,7 +5,7 @@ import pytest
 from fixtures.samples import energy, load
 
 import protochain as pc
-from protochain.comparison.colourings import OF_INPUT, colourings
+from protochain.comparison.colourings import colourings
 from protochain.energies.custom import CustomEnergy
 from protochain.results.viewer import DISPLACEMENT, Colouring, scene
 
@@ -24,7 +24,7 @@ def test_energies_are_the_shares_of_residues_and_their_change():
     assert "CMAP, kJ/mol" not in found
     last = s.atom_residue == 75
     heavy = last & (s.atom_element != "H")
-    assert found[OF_INPUT].values["end"][75] == pytest.approx(s.b_factor[heavy].mean())
+    assert found["B factor of the input"].values["end"][75] == pytest.approx(s.b_factor[heavy].mean())
 
 
 def test_of_a_callable_there_are_no_energies():

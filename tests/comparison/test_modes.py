@@ -202,6 +202,21 @@ def test_a_point_with_torques_is_no_minimum_whatever_its_curvature():
     assert r.max_torque > 1.0 and not r.is_minimum
 
 
+def test_only_b_factors_of_a_crystal_are_compared():
+    """pLDDT, deviations between models and columns without a cell are named, and left empty."""
+    crystal = load("3i40.pdb")
+    for quantity, s in {
+        "B factor": crystal,
+        "unknown": replace(crystal, header=""),
+        "deviation between models": replace(crystal, header="", left_out={"models": 9}),
+        "pLDDT": replace(crystal, header="data_\n_ma_qa_metric.name pLDDT\n"),
+    }.items():
+        r = pc.normal_modes(pc.build_chain(s, "phi psi"), Net(s), k=12)
+        in_file, is_b = r.fluctuations()["ca_b_factor_in_file_angstrom2"], quantity == "B factor"
+        assert s.b_factor_quantity == quantity and in_file.notna().all() == in_file.notna().any() == is_b
+        assert (r.b_factor_correlation is not None) == is_b
+
+
 def test_fluctuations_and_entropy_are_those_of_the_gaussian():
     """Covariance kT J K^-1 J^T, and ln det of K and M by dense algebra."""
     c, e = at_minimum()

@@ -17,7 +17,7 @@ from protochain.core.graph import Neighbours, neighbours
 from protochain.core.markup import facts
 from protochain.core.settings import document_fields
 from protochain.ligands import Ligand
-from protochain.structure.molecule.header import Label
+from protochain.structure.molecule.header import Label, with_header
 from protochain.structure.molecule.links import is_metal
 from protochain.structure.molecule.repairs import Loss, Repair, summarise
 from protochain.structure.molecule.residues import Atom, Residue, name_in_file
@@ -86,6 +86,10 @@ class Origin(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "place", read_only(self.place, np.int64))
         object.__setattr__(self, "charge", read_only(self.charge))
+
+
+B_FACTOR = "B factor"
+"""Quantity in the column of B factors of a crystal structure."""
 
 
 @document_fields
@@ -312,6 +316,15 @@ class Structure(Value):
     def losses(self) -> tuple[Loss, ...]:
         """Heavy atoms lost from the file, without waters and atoms excluded by options."""
         return tuple(loss for repair in self.repairs for loss in repair.lost)
+
+    @property
+    def b_factor_quantity(self) -> str:
+        """Quantity in ``b_factor`` by the file: pLDDT, B factor, deviation between models, or unknown."""
+        if "_ma_" in self.header:
+            return "pLDDT"
+        if with_header(self.header).cell.is_crystal():
+            return B_FACTOR
+        return "deviation between models" if "models" in self.left_out else "unknown"
 
     @cached_property
     def changes(self) -> tuple[str, ...]:
