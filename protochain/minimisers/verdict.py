@@ -1,15 +1,16 @@
 """Status of a result, from its judge's energy and forces."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, Integers
 from protochain.core.markup import abridge, plural
 from protochain.core.settings import document_fields
 from protochain.minimisers.loop import Stop
@@ -26,6 +27,15 @@ from protochain.validation.strain import bond_lines, wrong_bonds
 
 _REMEDY = "remove such hydrogens from the file to place them again, or relax the structure"
 """Remedy for bonds of wrong lengths."""
+
+
+Concerns = Callable[[Integers], NDArray[np.bool_]]
+"""Rows of atoms (n, k) that count, as (n,) bool."""
+
+
+def every_row(atoms: Integers) -> NDArray[np.bool_]:
+    """Rows that count if all atoms may move."""
+    return np.ones(len(atoms), dtype=bool)
 
 
 class Status(StrEnum):
@@ -94,13 +104,16 @@ def verdict(
     inverted: Sequence[str] | None = None,
     isomerised: Sequence[str] | None = None,
     problems: Sequence[str] | None = None,
+    concerns: Concerns = every_row,
 ) -> tuple[Status, str]:
     """Status and message, from the reason for the end of a run and the residual by the judge."""
-    # x (na, 3) nm.
+    # x (na, 3) nm. Overlaps and rings count if their atoms do.
     problems = describe_rejections(structure, x) if problems is None else problems
     if bonds := _changed_metal_bonds(structure, x):
         measured += f"; bonds of metals that changed by over {_METAL_CHANGE:g} angstrom: {abridge(bonds, 3)}"
-    status, message = _force_status(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
+    status, message = _force_status(
+        stop, met, measured, structure, x, n_evaluations, inverted, isomerised, concerns
+    )
     if problems and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*problems, measured])}"
     return status, message if status is Status.CLASH else "; ".join([message, *problems])
@@ -124,22 +137,27 @@ def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:
     return lines
 
 
-def describe_rejections(structure: Structure, x: Floats) -> list[str]:
+def describe_rejections(structure: Structure, x: Floats, concerns: Concerns = every_row) -> list[str]:
     """Describe errors that no result may have: mirror images, other isomers, fixed chains, faults."""
     # x (na, 3) nm.
     problems = [
         f"chain {chain} is a mirror image, D-amino acids with L names (relax with mirror if intended)"
         for chain in mirror_images(structure.with_positions(x))
     ]
-    inverted = atom_names(structure, inverted_stereocentres(structure, x))
+    centres = [
+        centre for centre in inverted_stereocentres(structure, x).tolist()
+        if concerns(np.array([[centre, *structure.neighbours[centre]]]))[0]
+    ]  # fmt: skip
+    inverted = atom_names(structure, np.array(centres, dtype=np.int64))
     problems += [f"inverted stereocentres: {abridge(inverted)}"] if inverted else []
-    bonds = describe_double_bonds(structure, inverted_double_bonds(structure, x))
+    double_bonds = inverted_double_bonds(structure, x)
+    bonds = describe_double_bonds(structure, double_bonds[concerns(double_bonds)])
     problems += [f"double bonds with inverted E/Z: {abridge(bonds)}"] if bonds else []
     n_fixed, n = count_fixed(structure)
     problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
     # Torsions change no bond length: such a run would end converged.
     wrong_pairs = wrong_bonds(structure, x)
-    wrong_pairs = wrong_pairs[~structure.kept[wrong_pairs].all(axis=1)]
+    wrong_pairs = wrong_pairs[~structure.kept[wrong_pairs].all(axis=1) & concerns(wrong_pairs)]
     if len(wrong_pairs):
         lines = abridge(bond_lines(structure, x, wrong_pairs), 3)
         problems.append(f"{plural(len(wrong_pairs), 'bond')} of a wrong length: {lines}; {_REMEDY}")
@@ -156,6 +174,7 @@ def _force_status(
     n_evaluations: int,
     inverted: Sequence[str] | None,
     isomerised: Sequence[str] | None,
+    concerns: Concerns,
 ) -> tuple[Status, str]:
     """Status and message from forces, overlaps, and changes of isomers."""
     # Changed isomers.
@@ -178,7 +197,10 @@ def _force_status(
             return status, f"{status}: {measured}"
         met = False
     # A minimum with overlapping atoms, or with a bond through a ring, is not a usable result.
-    overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)
+    overlap = [found for found in overlaps(structure, x) if concerns(np.array([found.atoms]))[0]]
+    threaded = [
+        ring for ring in threaded_rings(structure, x) if concerns(np.array([[*ring.atoms, *ring.bond]]))[0]
+    ]
     if met and not (overlap or threaded):
         if stop is Stop.SADDLE:
             return Status.SADDLE, f"saddle: {stop.value}: {measured}"

@@ -22,6 +22,14 @@ class Problems:
 
     structure: Structure
     x: Floats
+    moving: NDArray[np.bool_] | None = None  # (na,) bool: Peptides and violations have one of these atoms.
+    fixed: bool = False  # Whether they have none of these atoms instead.
+
+    def concerns(self, atoms: Integers) -> NDArray[np.bool_]:
+        """(n,) bool: rows of atoms (n, k) that count."""
+        if self.moving is None:
+            return np.ones(len(atoms), dtype=bool)
+        return np.asarray(self.moving[atoms].any(axis=1) != self.fixed)
 
     @cached_property
     def overlaps(self) -> Integers:
@@ -47,7 +55,9 @@ class Problems:
     @cached_property
     def peptides(self) -> Integers:
         """(n,) int: nitrogens of twisted peptide bonds."""
-        return PeptideBonds.of(self.structure).twisted_bonds(self.x)
+        bonds = PeptideBonds.of(self.structure)
+        counted = bonds.atoms[self.concerns(bonds.atoms), 2]
+        return np.intersect1d(bonds.twisted_bonds(self.x), counted)
 
     @cached_property
     def reversed_peptides(self) -> Integers:
@@ -68,14 +78,14 @@ class Problems:
         structure, outliers = self.structure, self.violations
         n, residue_of = structure.n_atoms, structure.atom_residue
         bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
-        at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
+        has_violation = np.zeros(structure.n_residues, dtype=bool)
         joints = (outliers.bonds, (0, 1)), (outliers.angles_ca_c_n, (1, 2)), (outliers.angles_c_n_ca, (0, 1))
         for atoms, ends in joints:
             is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
-            at_breaks[residue_of[atoms[~is_bond]]] = elsewhere[residue_of[atoms[is_bond]]] = True
+            has_violation[residue_of[atoms[is_bond & self.concerns(atoms)]]] = True
         for atoms in (outliers.clashes, outliers.within, outliers.covalent):
-            elsewhere[residue_of[atoms]] = True
-        return np.asarray(outliers.per_residue & ~(at_breaks & ~elsewhere))
+            has_violation[residue_of[atoms[self.concerns(atoms)]]] = True
+        return np.asarray(outliers.per_residue & has_violation)
 
     def residues(self, planar: bool) -> NDArray[np.bool_]:
         """(nr,) bool: residues with problems to mend, with twisted peptide bonds if ``planar``."""

@@ -235,9 +235,14 @@ def _verdict(
     if settings.score_only:
         return Status.MEASURED, f"measured without a step: {measured}"
     problems = end.problems
-    broken = int((problems.violations.per_residue & ~problems.mendable()).sum())
+    broken = int((problems.violations.per_residue & ~replace(problems, moving=None).mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += breaks if broken else ""
+    lines = describe_problems(problems)
+    # The moving atoms cannot mend problems of fixed atoms, which do not decide the status.
+    of_fixed = describe_problems(replace(problems, fixed=True)) if problems.moving is not None else []
+    earlier = [line for line in of_fixed if line not in lines]
+    measured += f"; was in the input, at fixed atoms: {'; '.join(earlier)}" if earlier else ""
     violated = describe_violations(restraint_values)
     if violated and springs:
         springs_to_input = f"springs to the input of up to {max(settings.strength.backbone):g} kJ/mol/nm^2"
@@ -245,7 +250,7 @@ def _verdict(
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_newly_inverted(problems), isomerised=_bonds_before(problems, _newly_reversed(problems)),
-        problems=[*describe_problems(problems), *violated],
+        problems=[*lines, *violated], concerns=problems.concerns,
     )  # fmt: skip
 
 
@@ -268,8 +273,13 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 
 def describe_problems(problems: Problems) -> list[str]:
     """Names of the remaining problems."""
-    lines = describe_rejections(problems.structure, problems.x)
-    lines += [abridge([*map(str, problems.rings)], 2)] if problems.rings else []
+    lines = describe_rejections(problems.structure, problems.x, problems.concerns)
+    rings = [ring for ring in problems.rings if problems.concerns(np.array([[*ring.atoms, *ring.bond]]))[0]]
+    lines += [abridge([*map(str, rings)], 2)] if rings else []
+    if problems.fixed:  # Other overlaps are a clash.
+        pairs = problems.overlaps[problems.concerns(problems.overlaps)].tolist()
+        touching = [f"{problems.structure.atom(i)} with {problems.structure.atom(j)}" for i, j in pairs]
+        lines += [f"overlaps: {abridge(touching, 2)}"] if pairs else []
     twisted = _bonds_before(problems, np.setdiff1d(problems.peptides, _newly_reversed(problems)))
     lines += [f"twisted peptide bonds: {abridge(twisted, _NAMED)}"] if twisted else []
     # Breaks of the chain are not errors of the model, which may be cropped, with continuous numbers.

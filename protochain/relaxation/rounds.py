@@ -127,7 +127,7 @@ class Relaxer:
     def unmoved(self) -> RoundEnd:
         """The input as the end of a round without steps or springs."""
         structure = self.structure
-        problems = Problems(structure, structure.positions)
+        problems = Problems(structure, structure.positions, self.moving)
         entry = Round(0, len(problems.violations.residues), len(problems.overlaps), 0, 0, 0.0)
         springs = self._springs(np.zeros(structure.n_residues), 0.0, 0.0)
         return RoundEnd(problems, Stop.TOLERANCE, springs, np.empty(0, dtype=np.int64), entry)
@@ -149,7 +149,7 @@ class Relaxer:
             outcome = self._walk_stages(plan, x, before + n_unthreading)
         else:
             outcome = replace(freed, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
-        problems = Problems(structure, read_only(outcome.x))
+        problems = Problems(structure, read_only(outcome.x), self.moving)
         concerned = problems.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         entry = Round(

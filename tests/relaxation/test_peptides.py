@@ -1,5 +1,7 @@
 """Peptide bonds in relaxations and minimisations: twisted ones become planar, none is lost unsaid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fixtures import models
@@ -132,6 +134,22 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     half = Problems(s, with_omega(s, 12, 120.0).positions)
     assert describe_problems(half)[0].startswith("twisted peptide bonds: " + name)
     assert _newly_reversed(half).tolist() == [] and _newly_reversed(other).tolist() == [bond_before(s, 12)[2]]
+
+
+def test_a_bond_of_fixed_atoms_does_not_decide_the_status():
+    """A mutation fixes the backbone. If the bond moves, the same twist is a violation."""
+    twisted = with_omega(load("1l2y.pdb"), 12, 120.0)
+    r = pc.mutate(twisted, "A:L2A", solvent="vacuum", threads=1).mutant
+    old = "was in the input, at fixed atoms: twisted peptide bonds: before A:SER13"
+    assert r.status == "converged" and old in r.message
+    problems = Problems(twisted, twisted.positions, twisted.atom_residue == 11)
+    assert describe_problems(problems)[0].startswith("twisted peptide bonds: before A:SER13")
+    assert describe_problems(replace(problems, fixed=True)) == []
+    # Overlaps and violations count by their atoms.
+    x = twisted.positions.copy()
+    x[twisted.atom_residue == 0] = x[twisted.atom_residue == 19][0] + 0.01
+    crowded = Problems(twisted, x, twisted.atom_residue == 11)
+    assert not crowded.mendable()[[0, 19]].any() and replace(crowded, moving=None).mendable()[0]
 
 
 def test_minimise_names_a_bond_that_turned(bent):
