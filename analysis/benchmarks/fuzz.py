@@ -4,24 +4,21 @@
     python analysis/benchmarks/fuzz.py --first 1000 --files 3000 --options 500
     python analysis/benchmarks/fuzz.py --only "PDB, models" --seed 17
 
-Cases are made by kind and seed (tests/fixtures/damage.py), run in processes split off one that has loaded
-all, and judged (tests/fixtures/judge.py); a row a kind. The second form runs further cases, the third one,
-and prints all of it.
+Cases are made by kind and seed (analysis/bench/files/damage.py), run in processes split off one that has
+loaded all, and judged (analysis/bench/files/judge.py); a row a kind. The second form runs further cases, the
+third one, and prints all of it.
 """
 
 import argparse
 import os
 import shlex
-import sys
 from collections import Counter
 from pathlib import Path
 
 import made
 import pandas as pd
-from made import ROOT
 
-sys.path.insert(0, str(ROOT / "tests"))
-from fixtures import damage, judge
+from bench.files import damage, judge
 
 FILES, OPTIONS = 10_000, 2000
 
@@ -82,7 +79,7 @@ def main() -> None:
     table = counted(ended)
     print(table.to_string())
     if given.output:
-        made.write(table, Path(given.output) / "fuzz.csv", ["kinds of tests/fixtures/damage.py"])
+        made.write(table, Path(given.output) / "fuzz.csv", ["kinds of analysis/bench/files/damage.py"])
 
 
 if __name__ == "__main__":

@@ -2,13 +2,13 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...] [--processes N]
 
-Each kind of tests/fixtures/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations,
-written as PDB and mmCIF, and read again (tests/fixtures/fate.py); a row a kind. Those that need files beside
-the repository are left out where these are not there. Structures of more than 3000 atoms are not relaxed.
+Each kind of analysis/bench/files/file_kinds.py is made anew, read, prepared, relaxed for at most 100
+iterations, written as PDB and mmCIF, and read again (analysis/bench/files/fate.py); a row a kind. Those that
+need files beside the repository are left out where these are not there. Structures of more than 3000 atoms
+are not relaxed.
 """
 
 import argparse
-import sys
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
@@ -17,10 +17,8 @@ from time import perf_counter
 
 import made
 import pandas as pd
-from made import ROOT
 
-sys.path.insert(0, str(ROOT / "tests"))
-from fixtures import fate, file_kinds
+from bench.files import fate, file_kinds
 
 ITERATIONS = 100
 LONGEST = 400
@@ -114,7 +112,7 @@ def main() -> None:
     print(f"{len(table)} kinds: {refused} refused, {wrong} with faults, {tracebacks} tracebacks,", end=" ")
     print(f"{unsaid} with atoms lost that are not named")
     if options.output:
-        inputs = ["kinds of tests/fixtures/file_kinds.py"]
+        inputs = ["kinds of analysis/bench/files/file_kinds.py"]
         made.write(table, options.output / "kinds.csv", inputs, options.processes)
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fixtures import judge
-from fixtures.damage import BESIDE, FILES, FILES_BY_WEIGHT, OPTIONS, Case, beside
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import protochain as pc
+from bench.files import judge
+from bench.files.damage import BESIDE, FILES, FILES_BY_WEIGHT, OPTIONS, Case, beside
 from protochain.core.processors import processors
 
 ANY_MACHINE = settings(

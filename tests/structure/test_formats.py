@@ -3,10 +3,10 @@
 import gemmi
 import numpy as np
 import pytest
-from fixtures.recipes import binary_cif
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
+from bench.files.recipes import binary_cif
 from protochain.structure.formats import foreign
 
 NAME = "3i40.pdb"

@@ -1,7 +1,8 @@
 """Kinds of file that people bring: nothing is lost, bonded or turned without a word; all is read again."""
 
 import pytest
-from fixtures import fate, file_kinds
+
+from bench.files import fate, file_kinds
 
 QUICK = (
     "gromacs-lysh-hisb", "cif-without-label-alt-id", "mirror-image", "ligand-charge-in-mmcif",

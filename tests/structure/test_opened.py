@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from fixtures import file_kinds
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
+from bench.files import file_kinds
 
 KINDS = (
     "plain", "disulfides-unstated", "chains-without-ids", "insertion-codes", "sep", "ace-nme",
