@@ -1,8 +1,10 @@
 """Mutation run: faults put at random into the code, one at a time, and the share that the tests notice.
 
 ``python tests/mutants.py -o analysis/results`` takes hours on two cores. A fault is a comparison, an
-operator, a number, a name or a condition changed, a statement or a keyword left out. The fast tests that
+operator, a number, a name or a condition changed, a statement or a keyword left out. With ``--kind semantic``
+it is one of ``semantic_faults.py``, as many of each kind. The fast tests that
 reach its line (by a coverage run before) are run, quickest first and no longer than ``LONGEST``.
+With ``--nearest N`` no coverage run is needed: the N tests are run that share most words with the line.
 Compiled kernels, which coverage does not see into, and what processes run, get the tests of their package;
 lines that run on import get the tests that use their file. A fault that runs into the time limit is
 noticed; a test that a fault renames is not run.
@@ -23,12 +25,15 @@ import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from queue import Queue
 from xml.etree import ElementTree
 
 import coverage.numbits
+import semantic_faults
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parent.parent
@@ -39,6 +44,7 @@ FOLDERS = (
 """Packages, of which as many faults each are tried by default."""
 LONGEST = 300.0
 """Seconds of tests for one fault, as they took without it. On a busy machine they take longer."""
+WORD = re.compile(r"[A-Za-z_]\w{2,}")
 KERNEL = re.compile(r"(?m)^@(kernel|inlined|shared|scalar)\b")
 BESIDE = {"mechanics": ("dynamics", "chains")}
 """Packages whose tests are also of another's kernels."""
@@ -131,11 +137,15 @@ def is_declaration(node: ast.AST) -> bool:
     return text.startswith(("__all__", "if TYPE_CHECKING:", "from __future__"))
 
 
+def files(folder: str, root: Path) -> list[Path]:
+    path = root / "protochain" / folder
+    return sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file()
+
+
 def faults(folder: str, root: Path) -> list[Fault]:
     """All faults of a folder; those that span lines are left out."""
     found = []
-    path = root / "protochain" / folder
-    for file in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
+    for file in files(folder, root):
         text = file.read_text()
         lines = text.splitlines()
         for node in sites(ast.parse(text)):
@@ -150,6 +160,63 @@ def faults(folder: str, root: Path) -> list[Fault]:
                 name = file.relative_to(root).as_posix()
                 found.append(Fault(folder, name, at.lineno, kind, line.strip(), swapped.strip()))
     return found
+
+
+def faults_of_meaning(folder: str, root: Path) -> list[Fault]:
+    """All semantic faults of a folder."""
+    signatures, every = semantic_faults.read_signatures(root), []
+    for file in files(folder, root):
+        text, name = file.read_text(), file.relative_to(root).as_posix()
+        for number, kind, line in semantic_faults.changes(text, signatures):
+            code = text.splitlines()[number - 1].strip()
+            every.append(Fault(folder, name, number, kind, code, line.strip()))
+    return every
+
+
+def sample_kinds(every: list[Fault], number: int, draw: random.Random) -> list[Fault]:
+    """Draw as many faults of each kind, as far as the number goes."""
+    by_kind = defaultdict(list)
+    for fault in every:
+        by_kind[fault.kind].append(fault)
+    kinds = draw.sample(sorted(by_kind), len(by_kind))
+    orders = [draw.sample(by_kind[kind], min(number, len(by_kind[kind]))) for kind in kinds]
+    return [fault for rank in zip_longest(*orders) for fault in rank if fault][:number]
+
+
+def nearest_tests(fault: Fault, root: Path, number: int) -> list[str]:
+    """Tests that share the rarest words with the line of a fault and with the names around it."""
+    file, tests = Path(fault.file), texts_of_tests(root)
+    tree = ast.parse((root / file).read_text())
+    names = {file.stem}.union(
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and node.lineno <= fault.line <= (node.end_lineno or 0)
+    )
+    shared = Counter(word for words in tests.values() for word in words)
+    wanted = {word for word in {*WORD.findall(fault.code), *names} if shared[word]}
+
+    def rank(test: str) -> float:
+        near = (f"/{file.parts[1]}/" in test) + 2 * (f"test_{file.stem}.py" in test)
+        return near + sum(1.0 + 10.0 / shared[word] for word in wanted & tests[test])
+
+    return sorted(tests, key=rank, reverse=True)[:number]
+
+
+@cache
+def texts_of_tests(root: Path) -> dict[str, set[str]]:
+    """Words of each fast test."""
+    words = {}
+    for path in sorted((root / "tests").rglob("test_*.py")):
+        text = path.read_text()
+        for node in ast.parse(text).body:
+            if not isinstance(node, ast.FunctionDef) or not node.name.startswith("test_"):
+                continue
+            if "pytest.mark.slow" not in map(ast.unparse, node.decorator_list):
+                name = f"{path.relative_to(root).as_posix()}::{node.name}"
+                lines = text.splitlines()[node.lineno - 1 : node.end_lineno]
+                words[name] = {*WORD.findall("\n".join(lines)), path.stem.removeprefix("test_")}
+    return words
 
 
 def tests_of_lines(root: Path, jobs: int) -> tuple[dict[tuple[str, int], set[str]], dict[str, float]]:
@@ -251,7 +318,7 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
         shutil.rmtree(scratch, ignore_errors=True)
     if result == "survived" and (fault.file, fault.fault) in excuses():
         result, by = "excused", excuses()[fault.file, fault.fault]
-    return Fault(**(asdict(fault) | {"result": result, "test": by}))
+    return replace(fault, result=result, test=by)
 
 
 def chosen_tests(
@@ -292,16 +359,16 @@ def excuses() -> dict[tuple[str, str], str]:
         return {(row["file"], row["fault"]): row["why"] for row in csv.DictReader(file)}
 
 
-def score(ended: list[Fault]) -> list[dict[str, object]]:
-    """By folder: faults noticed, excused, not noticed; the share noticed with its 95 % interval (Wilson)."""
+def score(ended: list[Fault], by: str = "folder") -> list[dict[str, object]]:
+    """By folder or kind: faults noticed, excused, not; the share noticed with its 95 % interval (Wilson)."""
     rows = []
-    for folder in dict.fromkeys(fault.folder for fault in ended):
-        count = Counter(fault.result for fault in ended if fault.folder == folder)
+    for name in (*dict.fromkeys(getattr(fault, by) for fault in ended), "all"):
+        count = Counter(fault.result for fault in ended if name in (getattr(fault, by), "all"))
         n = count["noticed"] + count["survived"]
         low, high = binomtest(count["noticed"], n).proportion_ci(method="wilson") if n else (0.0, 1.0)
         rows.append(
             {
-                "folder": folder,
+                by: name,
                 **{result: count[result] for result in ("noticed", "excused", "survived")},
                 "share": round(count["noticed"] / max(n, 1), 3),
                 "low": round(float(low), 3),
@@ -312,16 +379,21 @@ def score(ended: list[Fault]) -> list[dict[str, object]]:
 
 
 def mutation_run(
-    folders: list[str], number: int, seed: int, jobs: int, tree: Path, tests: list[str] | None = None
-) -> list[Fault]:
+    folders: list[str], number: int, seed: int, jobs: int, tree: Path, tests: list[str] | None = None,
+    semantic: bool = False, nearest: int = 0,
+) -> list[Fault]:  # fmt: skip
     """Try faults chosen at random, ``number`` in each folder; with test files, only those are run."""
     with tempfile.TemporaryDirectory() as scratch:
         places = [copied(tree.resolve(), Path(scratch) / str(k)) for k in range(jobs)]
         picked = []
         for folder in folders:
-            every = faults(folder, places[0])
-            picked += random.Random(f"{seed}{folder}").sample(every, min(number, len(every)))
-        reached, seconds = ({}, {}) if tests else tests_of_lines(places[0], jobs)
+            draw = random.Random(f"{seed}{folder}")
+            every = faults_of_meaning(folder, places[0]) if semantic else faults(folder, places[0])
+            if semantic:
+                picked += sample_kinds(every, number, draw)
+            else:
+                picked += draw.sample(every, min(number, len(every)))
+        reached, seconds = ({}, {}) if tests or nearest else tests_of_lines(places[0], jobs)
         free: Queue[Path] = Queue()
         for place in places:
             free.put(place)
@@ -330,8 +402,15 @@ def mutation_run(
             place = free.get()
             text = (place / fault.file).read_text()
             on_import = bool(KERNEL.search(text)) and fault.line not in lines_of_functions(text)
-            chosen, blind = (tests, True) if tests else chosen_tests(fault, reached, seconds, on_import)
-            ended = tried(fault, place, chosen, blind or on_import, 60 + 4 * LONGEST)
+            chosen, blind, limit = tests, True, 60 + 4 * LONGEST
+            if nearest:
+                # The cache of kernels sees changes of sources, so that all faults may share it.
+                chosen, blind, limit = nearest_tests(fault, place, nearest), False, LONGEST
+            elif not tests:
+                chosen, blind = chosen_tests(fault, reached, seconds, on_import)
+            ended = tried(fault, place, chosen, blind or (on_import and not nearest), limit)
+            if nearest and ended.test == "time limit":
+                ended = replace(ended, result="survived")
             free.put(place)
             print(ended.result, ended.file, ended.line, "|", ended.fault, "|", ended.test, flush=True)
             return ended
@@ -355,15 +434,22 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=2)
     parser.add_argument("-t", "--tree", type=Path, default=ROOT, help="tree with code and tests")
     parser.add_argument("--tests", nargs="+", help="test files to run, rather than those that reach a line")
-    parser.add_argument("-o", "--output", type=Path, help="folder for mutants.csv and mutants_score.csv")
+    parser.add_argument("--nearest", type=int, default=0, metavar="N", help="N tests that name the code")
+    parser.add_argument("--kind", choices=("random", "semantic"), default="random")
+    parser.add_argument("-o", "--output", type=Path, help="folder for mutants*.csv and mutants*_score.csv")
     given = parser.parse_args()
-    ended = mutation_run(given.folders, given.number, given.seed, given.jobs, given.tree, given.tests)
-    for row in score(ended):
+    semantic = given.kind == "semantic"
+    ended = mutation_run(
+        given.folders, given.number, given.seed, given.jobs, given.tree, given.tests, semantic, given.nearest
+    )
+    scores = score(ended, "kind" if semantic else "folder")
+    for row in scores:
         print(row)
     if given.output:
         given.output.mkdir(parents=True, exist_ok=True)
-        write([asdict(fault) for fault in ended], given.output / "mutants.csv")
-        write(score(ended), given.output / "mutants_score.csv")
+        stem = "mutants_semantic" if semantic else "mutants"
+        write([asdict(fault) for fault in ended], given.output / f"{stem}.csv")
+        write(scores, given.output / f"{stem}_score.csv")
 
 
 if __name__ == "__main__":
