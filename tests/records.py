@@ -29,7 +29,6 @@ import gemmi
 import numpy as np
 import openmm
 import pandas as pd
-from fixtures.public_names import defaults
 from fixtures.schemas import results
 from fixtures.tolerances import RECORDED, RECORDED_LENGTH
 from matplotlib.figure import Figure
@@ -79,7 +78,7 @@ class Record:
 PARTS = {
     "structures": ("prepared", "searched", "written", "refused"),
     "minimised": ("torsions", "atoms", "relaxed"),
-    "measured": ("energies", "simulated", "judged", "printed", "defaults", "scenes"),
+    "measured": ("energies", "simulated", "judged", "printed", "scenes"),
 }
 """Groups that each file of tests compares: three files, for processes side by side."""
 
@@ -150,7 +149,7 @@ def run(record: Record) -> Cells:
 
 def _evaluated(text: str) -> Any:
     try:
-        return eval(text, {"pc": pc, "np": np, "bench": bench, "defaults": defaults})
+        return eval(text, {"pc": pc, "np": np, "bench": bench})
     except pc.ProtochainError as error:
         return _name_of(error)
 

@@ -16,25 +16,28 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, origin, read_names
+from protochain.core import defaults
 from protochain.relaxation import RelaxSettings
 
 PLAIN = {
-    "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
-    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
-    "hinges": "phi psi chi", "root": "auto", "move": "all", "rigid_protein": False, "forcefield": "amber14",
-    "solvent": "obc2", "salt": 0.0, "engine": "auto", "device": "auto", "terms": "all", "cutoff": "auto",
-    "accuracy": "auto", "calculator": None,
+    "methods": (defaults.METHOD,), "tolerance": None, "max_rmsd": float("inf"),
+    "max_evaluations": defaults.MAX_EVALUATIONS, "seed": defaults.SEED, "restraint": "", "n_starts": 1,
+    "spread": defaults.SPREAD, "curvature": None, "judge": defaults.JUDGE, "hinges": defaults.HINGES,
+    "root": defaults.ROOT, "move": defaults.MOVE, "rigid_protein": False, "forcefield": defaults.FORCEFIELD,
+    "solvent": defaults.SOLVENT, "salt": defaults.SALT, "engine": defaults.ENGINE, "device": defaults.DEVICE,
+    "terms": "all", "cutoff": defaults.CUTOFF, "accuracy": defaults.ACCURACY, "calculator": None,
     "trust_forcefield": False,
     "model": None,
     "assembly": "", "altloc": "",
-    "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
-    "ligand_charges": "nagl", "standard_residues": False, "cap": "none",
+    "keep": defaults.KEEP, "disulfide": None, "ph": defaults.PH, "strict": False, "chains": (),
+    "ligands": (), "ligand_charges": defaults.LIGAND_CHARGES, "standard_residues": False,
+    "cap": defaults.CAP,
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
 
 OF_RELAX = {
-    "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
-    "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
+    "preset": defaults.PRESET, "protocol": "", "stiffness": None, "max_iterations": defaults.MAX_ITERATIONS,
+    "max_outer_iterations": defaults.MAX_OUTER_ITERATIONS, "exclude": "", "keep_hydrogens": True, "repack": False,
     "posebusters": False, "free_ligands": False, "score_only": False, "repack_region": "", "interface": "",
     "mirror": False, "rebuild_side_chains": "", "sequence": "", "restraints": (),
 }  # fmt: skip

@@ -90,10 +90,14 @@ def test_a_cutoff_within_which_atoms_touch_is_refused_by_every_engine(engine):
 @pytest.mark.parametrize(
     ("engine", "solvent", "n_atoms", "accuracy", "cutoff"),
     [
-        ("auto", "vacuum", 8_999, "exact", None), ("auto", "vacuum", 9_000, 1e-3, None),
-        ("openmm", "vacuum", 90_000, "exact", None), ("native", "obc2", 4_999, "exact", None),
-        ("native", "gbn2", 5_000, 1e-3, None), ("openmm", "obc2", 20_000, "exact", None),
-        ("openmm", "obc2", 20_001, "exact", 2.0), ("auto", "obc2", 20_001, 1e-3, None),
+        ("auto", "vacuum", defaults.TREE_FROM_IN_VACUUM - 1, "exact", None),
+        ("auto", "vacuum", defaults.TREE_FROM_IN_VACUUM, defaults.TREE_ACCURACY, None),
+        ("openmm", "vacuum", 90_000, "exact", None),
+        ("native", "obc2", defaults.TREE_FROM - 1, "exact", None),
+        ("native", "gbn2", defaults.TREE_FROM, defaults.TREE_ACCURACY, None),
+        ("openmm", "obc2", defaults.FULL_UP_TO, "exact", None),
+        ("openmm", "obc2", defaults.FULL_UP_TO + 1, "exact", defaults.LONG_CUTOFF),
+        ("auto", "obc2", defaults.FULL_UP_TO + 1, defaults.TREE_ACCURACY, None),
     ],
 )  # fmt: skip
 def test_the_rules_of_sums_go_by_engine_solvent_and_size(engine, solvent, n_atoms, accuracy, cutoff):
