@@ -26,7 +26,7 @@ import pages  # noqa: E402
 import tables  # noqa: E402
 
 benchmarks = importlib.import_module("all")
-HELPERS = {"all", "made", "pages", "race_openmm", "relax_openmm"}
+HELPERS = {"all", "made", "pages", "quick", "race_openmm", "relax_openmm"}
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 MADE = re.compile(r"<!-- table made -->.*?<!-- end -->", re.DOTALL)
 """Past commands, which were true at their commits."""
@@ -163,6 +163,8 @@ def test_commands_of_the_program_that_are_quoted_are_parsed(quoted):
     _program, command, *words = shlex.split(re.split(r" [<>|] ", quoted)[0])
     if words[:1] == ["all"]:
         benchmarks.parser().parse_args(words[1:])
+    elif words[:1] == ["quick"]:
+        made.parser("").parse_args(words[1:])
     elif command == "analysis/bench":
         assert bench_parser().parse_intermixed_args([word for word in words if word != "..."]).name in BENCH
     else:
