@@ -4,7 +4,7 @@ import copy
 import io
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -32,11 +32,12 @@ from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.settings import inheriting
 from protochain.core.storage import regular
 from protochain.core.timings import part
-from protochain.core.units import COULOMB
 from protochain.energies.calculators import CalculatorEnergy
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
-from protochain.energies.native.implicit import COULOMB_CUSTOM
+from protochain.energies.native.implicit import OBC2_CHARGE_SCALE
+from protochain.energies.native.templates import template_terms
+from protochain.energies.native.terms import Terms
 from protochain.energies.on_device import PLATFORMS, DeviceEnergy, choose_device
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
@@ -245,11 +246,17 @@ def energy(
     cutoff = rule.cutoff if cutoff == "auto" else cutoff
     device = "cpu" if engine == "native" else choose_device(device, structure.n_atoms)
 
+    is_plain = system is None and cutoff is None and not salt and terms == "all"
+    native_terms = None
+    if is_plain and device == "cpu" and engine != "openmm":
+        native_terms = _terms_of(structure, forcefield, solvent)
+
     def by_openmm(cutoff: float | None) -> OpenMMEnergy:
         if system is not None:
             note = "System given by the caller"
             return OpenMMEnergy(copy.deepcopy(system), threads=threads, note=note, settings=settings)
-        built = build_system(structure, forcefield, solvent, trust_forcefield, cutoff, salt)
+        arguments = (structure, forcefield, solvent, trust_forcefield, cutoff, salt)
+        built = build_system(*arguments) if native_terms is None else partial(build_system, *arguments)
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
         if solvent == "obc2" and not salt:
             note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"
@@ -260,7 +267,7 @@ def energy(
         return OpenMMEnergy(built, "CPU", threads, label, name, note, structure.fingerprint, settings)
 
     reference = by_openmm(cutoff)
-    potential = choose_engine(engine, reference)
+    potential = choose_engine(engine, reference, native_terms)
     if device != "cpu":
         return DeviceEnergy(potential, reference, device, None if accuracy == "exact" else float(accuracy))
     # If the native engine does not support a force, OpenMM computes the energy by its own rule.
@@ -351,28 +358,14 @@ def build_system(
     pairs: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if cutoff is not None:
         pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
-    parts = force_field_parts(forcefield)
-    bundled = [_bundled_file(part) for part in parts]
-    files = checked_files(parts, trust_forcefield)
-    files += _phosphate_files(structure, parts)
-    if structure.kept.any():
-        hetero_files = [str(DATA / name) for part in parts for name in _HETERO_FILES.get(part, ())]
-        files += [name for name in dict.fromkeys(hetero_files) if Path(name).exists()]
-        has_nucleotides = any("/DNA." in name for name in hetero_files)
-        files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
-        strands = [
-            name for name in files if isinstance(name, str) and Path(name).name[:4] in ("DNA.", "RNA.")
-        ]
-        files += [strand_junctions(*strands)] if len(strands) == 2 and _has_junctions(structure) else []
-    if structure.glycans and HAS_GLYCAM in parts:
-        files.append(parameters(frozenset(structure.glycans.values())))
+    files, is_bundled = _files(structure, forcefield, trust_forcefield)
     if salt:
         pairs["implicitSolventKappa"] = debye_kappa(salt)
     is_by_file = solvent != "vacuum" and (solvent != "obc2" or bool(salt))
     files += [str(DATA / f"implicit/{solvent}.xml")] if is_by_file else []
     try:
         # A user's file may change between calls, and a trusted file may raise any exception.
-        force_field = _force_field(*files) if None in bundled else _bundled_force_field(*files)
+        force_field = _bundled_force_field(*files) if is_bundled else _force_field(*files)
         if structure.kept.any() or structure.fragments:
             system = create_system(structure, force_field, lambda: _force_field(*files), pairs)
         else:
@@ -394,6 +387,40 @@ def build_system(
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def _files(structure: Structure, forcefield: str, trust_forcefield: bool) -> tuple[list[str | bytes], bool]:
+    """Files of the parameters of a structure, without its solvent, and whether all are OpenMM's."""
+    parts = force_field_parts(forcefield)
+    bundled = [_bundled_file(part) for part in parts]
+    files = checked_files(parts, trust_forcefield)
+    files += _phosphate_files(structure, parts)
+    if structure.kept.any():
+        hetero_files = [str(DATA / name) for part in parts for name in _HETERO_FILES.get(part, ())]
+        files += [name for name in dict.fromkeys(hetero_files) if Path(name).exists()]
+        has_nucleotides = any("/DNA." in name for name in hetero_files)
+        files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
+        strands = [
+            name for name in files if isinstance(name, str) and Path(name).name[:4] in ("DNA.", "RNA.")
+        ]
+        files += [strand_junctions(*strands)] if len(strands) == 2 and _has_junctions(structure) else []
+    if structure.glycans and HAS_GLYCAM in parts:
+        files.append(parameters(frozenset(structure.glycans.values())))
+    return files, None not in bundled
+
+
+def _terms_of(structure: Structure, forcefield: str, solvent: str) -> Terms | None:
+    """Terms for the native engine, or None if they require a System, or it has to report an error."""
+    if solvent not in ("obc2", "vacuum") or structure.kept.any() or structure.fragments:
+        return None
+    if None in map(_bundled_file, force_field_parts(forcefield)):
+        return None
+    files, _ = _files(structure, forcefield, False)
+    try:
+        obc2 = _obc2(None) if solvent == "obc2" else None
+        return template_terms(structure, _bundled_force_field(*files), obc2)
+    except Exception:  # As for a System, which raises it again, with a remedy.
+        return None
 
 
 def debye_kappa(salt: float) -> float:
@@ -451,12 +478,12 @@ _TABULATED = "LennardJones"
 """Name of OpenMM's force with a table of pairs."""
 
 
-def choose_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
-    """Choose the engine. ``auto`` falls back on OpenMM and records the reason."""
+def choose_engine(engine: str, by_openmm: OpenMMEnergy, terms: Terms | None = None) -> Energy:
+    """Choose the engine. ``auto`` falls back on OpenMM and records the reason. ``terms`` equal the System."""
     if engine == "openmm":
         return by_openmm
     try:
-        return NativeEnergy(by_openmm, by_openmm.threads)
+        return NativeEnergy(by_openmm, by_openmm.threads, terms=terms)
     except UnsupportedForceError as error:
         if engine == "native":
             raise
@@ -502,8 +529,13 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
     return content
 
 
-def lacks_dihedrals(system: Any) -> bool:
-    """Whether a value is a System without dihedral forces."""
+def lacks_dihedrals(energy: Energy) -> bool:
+    """Whether an energy has a System without dihedral forces."""
+    # The System is built only if the terms do not answer.
+    terms: Terms | None = getattr(energy, "terms", None)
+    if terms is not None and any(len(terms.bonded[kind].atoms) for kind in ("torsions", "impropers", "maps")):
+        return False
+    system = energy.system
     return isinstance(system, openmm.System) and not _torsion_forces(system)
 
 
@@ -526,14 +558,19 @@ def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None)
     if len(nonbonded) != 1:
         raise ValueError("OBC2 needs a NonbondedForce with the charges")
     nonbonded[0].setReactionFieldDielectric(1.0)
+    force = _obc2(cutoff)
+    for i, (radius, scale) in enumerate(GBSAOBC2Force.getStandardParameters(structure.topology)):
+        charge = nonbonded[0].getParticleParameters(i)[0]._value
+        force.addParticle(charge * OBC2_CHARGE_SCALE, radius, scale)
+    system.addForce(force)
+
+
+def _obc2(cutoff: float | None) -> openmm.GBSAOBCForce:
+    """OBC2 as GBSAOBCForce without particles."""
     force = openmm.GBSAOBCForce()
     force.setSolventDielectric(_DIELECTRIC)
     force.setSoluteDielectric(1.0)
     force.setNonbondedMethod(force.NoCutoff if cutoff is None else force.CutoffNonPeriodic)
     if cutoff is not None:
         force.setCutoffDistance(cutoff)
-    # The two forces round 1/(4 pi epsilon0) differently; scaled charges make their energies equal.
-    charge_scale = np.sqrt(COULOMB_CUSTOM / COULOMB)
-    for i, (radius, scale) in enumerate(GBSAOBC2Force.getStandardParameters(structure.topology)):
-        force.addParticle(nonbonded[0].getParticleParameters(i)[0]._value * charge_scale, radius, scale)
-    system.addForce(force)
+    return force

@@ -2,7 +2,7 @@
 
 import copy
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -24,8 +24,9 @@ class OpenMMEnergy:
 
     Parameters
     ----------
-    system : openmm.System
-        It is not copied: for thousands of atoms a copy is slower than a build. Do not change it later.
+    system : openmm.System or callable
+        It is not copied: for thousands of atoms a copy is slower than a build. Do not change it later. A
+        callable without arguments builds it at its first use.
     platform : str
         ``CPU`` (single precision, fast) or ``Reference`` (double precision).
     threads : int or None
@@ -44,7 +45,7 @@ class OpenMMEnergy:
 
     def __init__(
         self,
-        system: openmm.System,
+        system: openmm.System | Callable[[], openmm.System],
         platform: str = "CPU",
         threads: int | None = None,
         forcefield: str = "custom",
@@ -53,7 +54,7 @@ class OpenMMEnergy:
         atoms: str = "",
         settings: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.system = system
+        self._system = system
         self.platform = platform
         self.threads = (threads or processors()) if platform == "CPU" else 1
         self.forcefield = forcefield
@@ -65,6 +66,11 @@ class OpenMMEnergy:
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuild the energy from its System, because contexts cannot be pickled."""
         return OpenMMEnergy, (self.system, self.platform, self.threads, *self._names)
+
+    @cached_property
+    def system(self) -> openmm.System:
+        """The System."""
+        return self._system if isinstance(self._system, openmm.System) else self._system()
 
     @property
     def _names(self) -> tuple[Any, ...]:

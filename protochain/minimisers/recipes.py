@@ -72,7 +72,7 @@ class Run:
 def check_dihedrals(energy: Energy, subject: str) -> None:
     """Raise an error for a method that moves all atoms and an energy without dihedral terms."""
     # A System of the caller is used as it is.
-    if lacks_dihedrals(energy.system) and energy.atoms:
+    if energy.atoms and lacks_dihedrals(energy):
         raise ProtochainError(
             f"{subject} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
             "choose a method that only turns hinges, as lbfgs, or all terms"

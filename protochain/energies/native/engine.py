@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import openmm
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
@@ -44,6 +45,8 @@ class NativeEnergy:
         Number of threads.
     opening : Opening, optional
         Parameters of a tree for far pairs. By default all pairs are summed one by one.
+    terms : Terms, optional
+        Terms of the System, if they are known without it.
 
     Raises
     ------
@@ -53,8 +56,14 @@ class NativeEnergy:
 
     engine, device, is_exact = "native", "cpu", True
 
-    def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
-        terms = compile_system(by_openmm.system)
+    def __init__(
+        self,
+        by_openmm: OpenMMEnergy,
+        threads: int,
+        opening: Opening | None = None,
+        terms: Terms | None = None,
+    ) -> None:
+        terms = terms or compile_system(by_openmm.system)
         no_groups = np.full((terms.n_atoms, 1), -1)
         layout = Layout(terms, no_groups, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
@@ -67,7 +76,7 @@ class NativeEnergy:
         self.by_openmm, self.opening = by_openmm, opening
         self.errors: tuple[float, ...] = ()
         """RMS errors of the forces in kJ/mol/nm: the first and last measured values."""
-        self.system, self.atoms = by_openmm.system, by_openmm.atoms
+        self.atoms = by_openmm.atoms
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.settings = by_openmm.settings
         self.threads = min(threads, MOST_THREADS)
@@ -85,6 +94,11 @@ class NativeEnergy:
         """Rebuild the energy, without the neighbour lists of earlier evaluations."""
         rigid = None if self._full is None else (self._layout.groups, self._full[3])
         return _rebuild, (self.by_openmm, self.threads, self.opening, rigid)
+
+    @property
+    def system(self) -> openmm.System:
+        """The OpenMM System."""
+        return self.by_openmm.system
 
     @property
     def reason(self) -> str:

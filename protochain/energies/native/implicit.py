@@ -13,6 +13,8 @@ from protochain.energies.native.reading import UnsupportedForceError, plain, row
 
 COULOMB_CUSTOM = 138.935485
 """COULOMB as the implicit-solvent files round it."""
+OBC2_CHARGE_SCALE = np.sqrt(COULOMB_CUSTOM / COULOMB)
+"""Factor of the charges of GBSAOBCForce. It rounds COULOMB differently, and energies become equal."""
 _PROBE = 0.14
 """nm. Radius of water."""
 _AREA_CUSTOM = 28.3919551
@@ -52,10 +54,12 @@ class Solvent:
     salt: tuple[float, float] | None = None
 
 
-def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
-    """Read OBC2 from GBSAOBCForce."""
+def from_gbsa_obc(force: openmm.GBSAOBCForce, particles: Floats | None = None) -> Solvent:
+    """Read OBC2 from GBSAOBCForce, with its particles (na, 3), charge, radius, scale, or others."""
     cut = force.getNonbondedMethod() != force.NoCutoff
-    charge, radius, scale = np.array(rows(force, "getNumParticles", "getParticleParameters")).T
+    if particles is None:
+        particles = np.array(rows(force, "getNumParticles", "getParticleParameters"))
+    charge, radius, scale = particles.T
     polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
     area = 4.0 * np.pi * plain(force.getSurfaceAreaEnergy())
     offset_radius = radius - OBC_OFFSET

@@ -81,7 +81,7 @@ def compile_system(system: openmm.System) -> Terms:
     for force in system.getForces():
         forces_by_class.setdefault(type(force).__name__, []).append(force)
     forces_by_class.pop("CMMotionRemover", None)
-    unknown = sorted(set(forces_by_class) - set(_READERS) - {"NonbondedForce", *_WITH_NONBONDED})
+    unknown = sorted(set(forces_by_class) - set(READERS) - {"NonbondedForce", *_WITH_NONBONDED})
     if unknown:
         raise UnsupportedForceError(f"{unknown[0]} has no native kernel")
     if any(system.isVirtualSite(i) for i in range(system.getNumParticles())):
@@ -93,19 +93,21 @@ def compile_system(system: openmm.System) -> Terms:
         for force in forces:
             if force.usesPeriodicBoundaryConditions():
                 raise UnsupportedForceError(f"{type(force).__name__} with periodic boundaries")
-    bonded = {kind: Bonded(*_stack_terms(kind, forces_by_class)) for kind in _SHAPES}
+    bonded = {kind: Bonded(*_stack_terms(kind, forces_by_class)) for kind in SHAPES}
     maps = [m for force in forces_by_class.get("CMAPTorsionForce", []) for m in _read_maps(force)]
     sizes = {len(m) for m in maps}
     if len(sizes) > 1:
         raise UnsupportedForceError("CMAPTorsionForce with maps of different sizes")
-    coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else np.zeros((1, 1, 1, 4, 4))
+    coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else NO_MAPS
     nonbonded, solvent = _read_nonbonded(system, forces_by_class), _read_solvent(forces_by_class)
     if solvent is not None:
         check_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
     return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
 
 
-_SHAPES = {
+NO_MAPS = np.zeros((1, 1, 1, 4, 4))
+"""Coefficients of a System without torsion maps."""
+SHAPES = {
     "bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1),
     "ties": (2, 2), "tie angles": (3, 2),
 }  # fmt: skip
@@ -118,10 +120,10 @@ _ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
 
 
 def _stack_terms(kind: str, forces_by_class: dict[str, list[openmm.Force]]) -> tuple[Integers, Floats]:
-    n_atoms, n_parameters = _SHAPES[kind]
+    n_atoms, n_parameters = SHAPES[kind]
     rows = [
         row
-        for name, (kind_read, read) in _READERS.items() if kind_read == _TIED.get(kind, kind)
+        for name, (kind_read, read) in READERS.items() if kind_read == _TIED.get(kind, kind)
         for force in forces_by_class.get(name, []) if (force.getName() == TIES) == (kind in _TIED)
         for row in read(force)
     ]  # fmt: skip
@@ -143,7 +145,7 @@ def _read_map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
     return [[*row[1:], row[0]] for row in read]
 
 
-_READERS = {
+READERS = {
     "HarmonicBondForce": ("bonds", lambda force: rows(force, "getNumBonds", "getBondParameters")),
     "HarmonicAngleForce": ("angles", lambda force: rows(force, "getNumAngles", "getAngleParameters")),
     "PeriodicTorsionForce": ("torsions", lambda force: rows(force, "getNumTorsions", "getTorsionParameters")),
@@ -175,30 +177,40 @@ def _read_nonbonded(system: openmm.System, forces_by_class: dict[str, list[openm
         krf = (dielectric - 1.0) / (2.0 * dielectric + 1.0) / cutoff**3
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
     particles = np.array(rows(force, "getNumParticles", "getParticleParameters"))
+    table = forces_by_class.get("CustomNonbondedForce")
+    tables = (_read_types(table[0], force), *_read_tables(table[0])) if table else None
+    exceptions = _read_exceptions(force, forces_by_class)
+    return nonbonded_of(particles, exceptions, cutoff, krf, crf, tables)
+
+
+def nonbonded_of(
+    particles: Floats, exceptions: Bonded, cutoff: float = np.inf, krf: float = 0.0, crf: float = 0.0,
+    tables: tuple[list[float], Floats, Floats] | None = None,
+) -> Nonbonded:  # fmt: skip
+    """Parameters of particles (na, 3): charge, sigma, epsilon, and with tables of their types."""
     charge, sigma, epsilon = particles.T
     # Sigma has no effect without a well, so all such atoms share a type.
-    kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
-    table = forces_by_class.get("CustomNonbondedForce")
-    if table:
-        kinds[:, 2] = _read_types(table[0], force)
+    kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(len(charge))])
+    if tables:
+        kinds[:, 2] = tables[0]
     types, lj_type = np.unique(kinds, axis=0, return_inverse=True)
     s6 = (0.5 * (types[:, None, 0] + types[None, :, 0])) ** 6
     b6 = 4.0 * np.sqrt(types[:, None, 1] * types[None, :, 1]) * s6
     a12 = b6 * s6
-    if table:
+    if tables:
         table_type = types[:, 2].astype(int)
-        more_a, more_b = _read_tables(table[0])
+        _, more_a, more_b = tables
         a12, b6 = a12 + more_a[np.ix_(table_type, table_type)], b6 + more_b[np.ix_(table_type, table_type)]
     return Nonbonded(
-        charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6,
-        _read_exceptions(force, forces_by_class), cutoff, krf, crf,
+        charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6, exceptions,
+        cutoff, krf, crf,
     )  # fmt: skip
 
 
 def _read_exceptions(force: openmm.NonbondedForce, forces_by_class: dict[str, list[openmm.Force]]) -> Bonded:
     read = np.array(rows(force, "getNumExceptions", "getExceptionParameters"), dtype=float).reshape(-1, 5)
     pairs = np.sort(read[:, :2].astype(np.int64), axis=1)
-    parameters = np.column_stack([_well(*read[:, 3:].T), read[:, 2] * COULOMB])
+    parameters = pair_parameters(read[:, 2:])
     keys = pairs @ (key := [force.getNumParticles(), 1])
     order = np.argsort(keys)
     for custom in forces_by_class.get("CustomBondForce", []):
@@ -216,6 +228,11 @@ def _read_exceptions(force: openmm.NonbondedForce, forces_by_class: dict[str, li
         sizes = np.array([bond[2] for bond in bonds]).T[[names.index("sigma"), names.index("epsilon")]]
         np.add.at(parameters[:, :2], order[place], _well(*sizes))
     return Bonded(pairs, parameters)
+
+
+def pair_parameters(pairs: Floats) -> Floats:
+    """A, B and q q (n, 3) of pairs (n, 3): product of charges, sigma, epsilon."""
+    return np.column_stack([_well(*pairs[:, 1:].T), pairs[:, 0] * COULOMB])
 
 
 def _well(sigma: Floats, epsilon: Floats) -> Floats:
