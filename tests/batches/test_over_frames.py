@@ -20,11 +20,12 @@ from fixtures.waiting import until
 import protochain as pc
 from protochain.batches import Processes, cluster
 from protochain.batches.frame_files import run_frames
-from protochain.batches.frame_report import _worst_first, write_report
+from protochain.batches.frame_report import _MOST_FIGURES, _along, _worst_first, write_report
 from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, prepare_task, row_of
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
 from protochain.comparison.deviation import RmsdFrames
 from protochain.relaxation import RelaxSettings
+from protochain.results.columns import heading
 from protochain.structure.formats.frames import Frame, open_frames
 
 SMALL = "ala10.pdb"
@@ -338,6 +339,14 @@ def test_the_page_shows_distributions_and_names_the_frames_without_a_result(tmp_
     assert dict(measured.counts) == {"measured": 4} and {"measured"} == {
         cell for cell in explored((tmp_path / "e.html").read_text())[0] if isinstance(cell, str)
     }
+
+
+def test_of_many_quantities_energy_and_violations_are_drawn_first():
+    names = [*(f"other_{k}" for k in range(_MOST_FIGURES)), "violations_end", "energy_end_kj_mol"]
+    figure = _along(pd.Series([1, 2]), pd.DataFrame({name: [0.0, 1.0] for name in names}))
+    titles = [ax.get_title() for ax in figure.axes if ax.get_visible()]
+    assert titles[:3] == [heading(name) for name in ("violations", "energy_kj_mol", "other_0")]
+    assert len(titles) == _MOST_FIGURES
 
 
 @pytest.mark.slow

@@ -135,11 +135,16 @@ def test_what_is_not_there_is_refused(call, said):
 def test_the_command_scans(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     given = ["scan", STRUCTURES / "ala10.pdb", "--solvent", "vacuum"]
-    run(*given, "phi A:5=-90:90:90", "psi A:5=-45,45", "--json", "--report", "map.html")
+    # The lowest point is neither the first nor the last.
+    run(*given, "phi A:5=0,-90,90", "psi A:5=45,-45", "--json", "--report", "map.html")
     told = json.loads(capsys.readouterr().out)
     table = pd.read_csv("ala10.scan.csv")
-    assert told["n_points"] == len(table) == 6 and table["phi A:5"].tolist() == [-90, -90, 0, 0, 90, 90]
-    assert told["lowest"]["energy_kj_mol"] == pytest.approx(table["energy_kj_mol"].min())
+    assert told["n_points"] == len(table) == 6 and table["phi A:5"].tolist() == [0, 0, -90, -90, 90, 90]
+    assert told["lowest"] == pytest.approx(
+        {"phi A:5": -90.0, "psi A:5": -45.0, "energy_kj_mol": table["energy_kj_mol"].min()}
+    )
+    run(*given, "phi A:5=0:180:90", "-o", "curve.csv")
+    assert pd.read_csv("curve.csv")["phi A:5"].tolist() == [0, 90, 180]
     assert "data:image/png" in (tmp_path / "map.html").read_text()
     for wrong in (
         "phi A:5",
