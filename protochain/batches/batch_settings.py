@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from protochain.batches.jobs import BatchSettings, Job
+from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import write_text
 from protochain.structure.preparation.prepare import user_files
@@ -53,17 +54,22 @@ def _holds_results(table: Path) -> bool:
 
 def _plain(settings: BatchSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with the version and the hash of force-field files."""
-    values = settings.record() | {"protochain": version("protochain")}
-    files = user_files(settings.setup.forcefield)
-    if files:
-        content = b"".join(file.read_bytes() for file in files)
-        values["content of the force field"] = hashlib.sha256(content).hexdigest()[:12]
+    values = settings.record() | run_settings(settings.setup)
     finite = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in values.items()
     }
     plain: dict[str, Any] = json.loads(json.dumps(finite))
     return plain
+
+
+def run_settings(setup: Setup | None) -> dict[str, str]:
+    """Version, and hash of force-field files if there are any, on which all results depend."""
+    values, files = {"protochain": version("protochain")}, user_files(setup.forcefield if setup else None)
+    if files:
+        content = b"".join(file.read_bytes() for file in files)
+        values["content of the force field"] = hashlib.sha256(content).hexdigest()[:12]
+    return values
 
 
 def _structure_settings(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
@@ -93,9 +99,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
 
 
 def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    for name in {**before, **now}:
+    for name in ("methods", *before, *now):
         old, new = before.get(name), now.get(name)
-        if old != new:
+        if old != new or (name in before) != (name in now):
             raise ProtochainError(
                 f"{folder}: contains results{whose} {_difference(name, old, new)}; repeat the settings, or "
                 "give another folder"

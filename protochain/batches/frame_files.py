@@ -1,16 +1,18 @@
 """Files of a run over frames: a table, a trajectory, and a checkpoint from which the run is resumed."""
 
 import csv
+import hashlib
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib.metadata import version
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
+from protochain.batches.batch_settings import run_settings
 from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
@@ -264,15 +266,30 @@ def _topology_path(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
     return trajectory.with_suffix(common_suffix([ensemble.structure]) if ensemble else ".pdb")
 
 
+def _content(path: Path) -> str:
+    """Hash of the size and of both ends of a file, as trajectories are large. Empty if there is no file."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        ends = [str(size).encode()]
+        for place in (0, max(0, size - _HASHED_BYTES)):
+            file.seek(place)
+            ends.append(file.read(_HASHED_BYTES))
+    return hashlib.sha256(b"".join(ends)).hexdigest()[:12]
+
+
+_HASHED_BYTES = 1 << 20
+"""Bytes of each end of a file of frames that are compared on resuming."""
+
+
 def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -> dict[str, Any]:
     """Settings on which the files depend, as JSON reads them back."""
-    path = Path(frames.source)
     record = {
-        "task": task.name, "protochain": version("protochain"), "frames": frames.source,
-        "bytes of frames": path.stat().st_size if path.is_file() else None,
-        "selection": str(frames.chosen),
-        "structure": ensemble.structure.name, "atoms": ensemble.structure.fingerprint, "hydrogens": hydrogens,
-        **task.settings(),
+        "task": task.name, "frames": frames.source, "content of frames": _content(Path(frames.source)),
+        "selection": str(frames.chosen), "hydrogens": hydrogens, "structure": ensemble.structure.name,
+        "atoms": ensemble.structure.fingerprint, "start": ensemble.structure.positions_fingerprint,
+        **run_settings(getattr(task, "setup", None)), **task.settings(),
     }  # fmt: skip
     plain: dict[str, Any] = json.loads(json.dumps(record, default=str))
     return plain

@@ -58,8 +58,12 @@ class Task(Protocol):
         for name, value in vars(self).items():
             if isinstance(value, Setup | RelaxSettings):
                 options |= {key: option for key, option in vars(value).items() if key != "threads"}
+            elif isinstance(value, Structure):
+                options[name] = value.name
+                options[f"atoms of the {name}"] = value.fingerprint
+                options[f"positions of the {name}"] = value.positions_fingerprint
             elif name != "energy":
-                options[name] = value.name if isinstance(value, Structure) else value
+                options[name] = value
         return options
 
 

@@ -4,12 +4,12 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from protochain.batches.batch_settings import run_settings
 from protochain.batches.cluster import Processes, load_shared, reason, run_jobs, shared_file
 from protochain.chains.setup import Setup
 from protochain.core.checkpoints import checkpoint, write_checkpoint
@@ -194,8 +194,8 @@ def run_scan(
         name: str(value) for name, value in {**vars(setup), **vars(relaxing)}.items() if name != "threads"
     }
     settings = {
-        "sites": sites, "into": into, "protochain": version("protochain"), "atoms": structure.fingerprint,
-        "positions": float(np.abs(structure.positions).sum()), **plain,
+        "sites": sites, "into": into, "atoms": structure.fingerprint,
+        "start": structure.positions_fingerprint, **run_settings(setup), **plain,
     }  # fmt: skip
     rows: Rows = []
     # Read the finished rows of an interrupted scan.

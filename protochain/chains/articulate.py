@@ -191,6 +191,22 @@ def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:
     return chain, as_energy(energy, chain.structure, source)
 
 
+def run_identity(chain: Chain, energy: Energy) -> dict[str, Any]:
+    """Properties of the input that a run must share with the checkpoint from which it resumes."""
+    return {
+        "hinges": chain.opened,
+        "root": chain.root,
+        "move": chain.move,
+        "hydrogen_mass": chain.hydrogen_mass,
+        "engine": energy.engine,
+        "device": energy.device,
+        "double_precision": energy.is_exact,
+        "accuracy": energy.settings.get("accuracy"),
+        "system": energy.fingerprint,
+        "start": chain.structure.positions_fingerprint,
+    }
+
+
 def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
     """Chain with free roots unless ``root`` is ``fixed``, and with another hydrogen mass if given."""
     mass = chain.hydrogen_mass if hydrogen_mass is None else hydrogen_mass

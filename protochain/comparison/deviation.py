@@ -1,6 +1,5 @@
 """Deviation of one structure from another: superposition, RMSD and TM-score."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,9 +171,10 @@ class RmsdFrames:
 
     def settings(self) -> dict[str, Any]:
         """Plain values that determine the rows."""
-        content = hashlib.sha256(self.reference.positions.tobytes()).hexdigest()[:12]
         return {
-            "reference": self.reference.name, "content of the reference": content,
+            "reference": self.reference.name,
+            "atoms of the reference": self.reference.fingerprint,
+            "positions of the reference": self.reference.positions_fingerprint,
             "align": self.align, "measure": self.measure,
         }  # fmt: skip
 

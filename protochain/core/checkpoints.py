@@ -84,15 +84,15 @@ def checkpoint(
         raise ProtochainError(f"{path}: is not a checkpoint of a {kind}; ", *remedy) from None
     if not {*list(settings)[:1]} <= set(written):
         raise ProtochainError(f"{path}: is not a checkpoint of a {kind}; ", *remedy)
-    for name, value in settings.items():
-        if name in _HASHED and written.get(name) != value:
+    # A setting that one of the two lacks is of another version. Without settings, nothing is compared.
+    for name in {**settings, **written} if settings else ():
+        stored, value = written.get(name, _ABSENT), settings.get(name, _ABSENT)
+        if stored == value:
+            continue
+        if name in _HASHED:
             raise ProtochainError(f"{path}: was written by a run with {_HASHED[name]}; repeat its settings")
-        if written.get(name) != value:
-            raise ProtochainError(
-                f"{path}: was written by a run with ",
-                Argument(name),
-                f" {written.get(name)!r}, not {value!r}; repeat its settings",
-            )
+        difference = f" {stored!r}, not {value!r}; repeat its settings"
+        raise ProtochainError(f"{path}: was written by a run with ", Argument(name), difference)
     try:
         yield Checkpoint(arrays, values)
     except ProtochainError:
@@ -102,6 +102,14 @@ def checkpoint(
         raise ProtochainError(f"{path}: damaged checkpoint ({cause}); ", *remedy) from None
 
 
+class _Absent:
+    """Value of a setting that a run does not have."""
+
+    def __repr__(self) -> str:
+        return "absent"
+
+
+_ABSENT = _Absent()
 _HASHED = {
     "system": "another system: its atoms, caps, force field, solvent or salt",
     "start": "another start: its atoms or positions",

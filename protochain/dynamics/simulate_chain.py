@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.chains.articulate import transfer_coordinates, with_energy, with_free_root
+from protochain.chains.articulate import run_identity, transfer_coordinates, with_energy, with_free_root
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.frame import Frame, frame_of
 from protochain.chains.restraint_list import Restraints
@@ -154,16 +153,7 @@ class _Run:
     @property
     def identity(self) -> dict[str, Any]:
         """Settings and input that a run must share to resume from the checkpoint."""
-        return {
-            **self.settings.record(),
-            "hinges": self.chain.opened,
-            "root": self.chain.root,
-            "move": self.chain.move,
-            "engine": self.energy.engine,
-            "double_precision": self.energy.is_exact,
-            "system": self.energy.fingerprint,
-            "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
-        }
+        return {**self.settings.record(), **run_identity(self.chain, self.energy)}
 
     def frame(self, origin: Floats) -> Frame:
         """Frame of output positions: the start (na, 3), superposed on the input."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.chains.articulate import with_energy
+from protochain.chains.articulate import run_identity, with_energy
 from protochain.chains.chain import Pose, pose
 from protochain.chains.frame import Frame, depends_on_place, frame_of
 from protochain.chains.restraint_list import describe_violations, measure_restraints
@@ -161,22 +160,14 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 
     def settings(self, start: Start) -> dict[str, Any]:
         """Settings that a checkpoint must share with the run it continues."""
-        chain, energy = start.chain, start.energy
         return {
             "method": self.recipe.name,
             "tolerance": self.converged_at,
             "restraint": self.start_hold.record(),
             "max_rmsd": self.max_rmsd,
-            "hinges": chain.opened,
-            "root": chain.root,
-            "move": chain.move,
             "seed": self.seed,
             "curvature": self.computes_curvature,
-            "engine": energy.engine,
-            "device": energy.device,
-            "double_precision": energy.is_exact,
-            "system": energy.fingerprint,
-            "start": hashlib.sha256(chain.structure.positions.tobytes()).hexdigest(),
+            **run_identity(start.chain, start.energy),
         }
 
 

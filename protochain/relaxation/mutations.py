@@ -301,5 +301,7 @@ def _state(structure: Structure, r: int) -> str:
 @lru_cache(maxsize=64)
 def _unfolded_energy(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue in GGXGG by the same protocol, a model of the unfolded chain, kJ/mol."""
-    peptide = substitute(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    return _relax(peptide, [2], replace(relaxing, interface=""), setup).energy_end
+    # Bonds, restraints and selections of the protein do not apply to the peptide.
+    peptide = substitute(from_sequence("GGGGG"), {2: state}, **setup.of_building | {"disulfide": None})
+    alone = replace(relaxing, interface="", restraints=(), exclude="")
+    return _relax(peptide, [2], alone, setup).energy_end

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from time import perf_counter
 from typing import Any
 
 from protochain.batches.cluster import Processes, Submitted, open_workers, shared_file
-from protochain.chains.articulate import with_energy
+from protochain.chains.articulate import run_identity, with_energy
 from protochain.core import defaults
 from protochain.core.checks import at_least, check_arguments, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
@@ -184,12 +183,7 @@ class _Walks:
         self.identity = {
             "search": settings.method,
             **{name: value for name, value in settings.record().items() if name != "method"},
-            "hinges": landscape.chain.opened,
-            "move": landscape.chain.move,
-            "engine": landscape.energy.engine,
-            "double_precision": landscape.energy.is_exact,
-            "system": landscape.energy.fingerprint,
-            "start": hashlib.sha256(landscape.chain.structure.positions.tobytes()).hexdigest(),
+            **run_identity(landscape.chain, landscape.energy),
         }
         self.n_pieces = [0] * settings.n_walkers
         if folder is not None and running.resume:

@@ -23,7 +23,6 @@ from protochain.batches.frame_files import run_frames
 from protochain.batches.frame_report import _MOST_FIGURES, _along, _worst_first, write_report
 from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, prepare_task, row_of
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
-from protochain.comparison.deviation import RmsdFrames
 from protochain.relaxation import RelaxSettings
 from protochain.results.columns import heading
 from protochain.structure.formats.frames import Frame, open_frames
@@ -267,20 +266,6 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     stopped.unlink()
     with pytest.raises(pc.ProtochainError, match="is incomplete"):
         run_frames(ensemble, chosen, RELAX, table, stopped, resume=True)
-
-
-def test_deviations_are_resumed_with_the_same_reference_and_atoms_only(tmp_path, x):
-    ensemble, chosen = opened(x[3:])
-    reference, table = load(SMALL), tmp_path / "rmsd.csv"
-    assert run_frames(ensemble, chosen, RmsdFrames(reference), table, watch=stop_after(1)).interrupted
-    for other, said in (
-        (RmsdFrames(load("1l2y.pdb")), "reference .*'ala10'.* not '1l2y'"),
-        (RmsdFrames(reference.with_positions(2 * reference.positions)), "content of the reference "),
-        (RmsdFrames(reference, align="backbone"), "align "),
-        (RmsdFrames(reference, measure="all"), "measure "),
-    ):
-        with pytest.raises(pc.ProtochainError, match=said):
-            run_frames(ensemble, chosen, other, table, resume=True)
 
 
 def test_rows_say_where_the_frame_is_in_the_trajectory_and_the_topology_reads_it(tmp_path, x):

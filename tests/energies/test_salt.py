@@ -106,16 +106,6 @@ def test_a_result_has_its_salt_until_another_is_named(run):
     assert pc.energy_terms(run, salt=0.3)["total"].iloc[0] == pytest.approx(value(0.3, run.x), abs=1e-8)
 
 
-def test_a_run_does_not_resume_with_another_salt(tmp_path):
-    s, file = load("ala10.pdb"), tmp_path / "c.npz"
-    c = pc.build_chain(s)
-    pc.minimise(c, pc.energy(s, **SALTED), "lbfgs", checkpoint=file, **FEW)
-    for salt in (0.0, 0.3):
-        with pytest.raises(ProtochainError, match=r"another system: .*salt"):
-            pc.minimise(c, pc.energy(s, solvent="gbn2", salt=salt), "lbfgs", resume=file, **FEW)
-    pc.minimise(c, pc.energy(s, **SALTED), "lbfgs", resume=file, max_evaluations=6, curvature=False)
-
-
 def test_second_preparations_have_the_salt(run):
     """Frames, mutants, and structures with another sequence are prepared anew."""
     s, setup = load("ala10.pdb"), pc.Setup(**SALTED, threads=1)

@@ -223,14 +223,6 @@ def test_a_force_field_without_caps_is_refused_with_the_option(tmp_path):
         pc.energy(s, "charmm36")
 
 
-def test_a_run_does_not_resume_with_other_caps(tmp_path):
-    few = {"max_evaluations": 3, "curvature": False, "method": "lbfgs"}
-    pc.minimise(STRUCTURES / "ala10.pdb", checkpoint=tmp_path / "c.npz", **few)
-    capped = pc.load(STRUCTURES / "ala10.pdb", cap="all")
-    with pytest.raises(pc.ProtochainError, match=r"another system: .*caps.*salt"):
-        pc.minimise(capped, resume=tmp_path / "c.npz", **few)
-
-
 def test_ends_are_capped_unless_the_sequence_of_the_file_ends_there(tmp_path):
     assert caps(pc.load(STRUCTURES / "ala10.pdb", cap="ends")) == ["ACE0", "NME11"]
     stated = pc.load(STRUCTURES / "4pti.pdb", cap="ends")

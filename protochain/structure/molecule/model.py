@@ -313,6 +313,11 @@ class Structure(Value):
         return seen.hexdigest()
 
     @property
+    def positions_fingerprint(self) -> str:
+        """SHA-256 of the positions."""
+        return hashlib.sha256(self.positions.tobytes()).hexdigest()
+
+    @property
     def losses(self) -> tuple[Loss, ...]:
         """Heavy atoms lost from the file, without waters and atoms excluded by options."""
         return tuple(loss for repair in self.repairs for loss in repair.lost)
