@@ -284,6 +284,9 @@ REMAINS = {
         lambda f: describe_double_bonds(f.structure, f.double_bonds),
     ),
     "clashes_between_chains": Remaining("clashes between chains", _at_interfaces),
+    "ramachandran_outlier_residues": Remaining(
+        "Ramachandran outliers", lambda f: _residues(f, f.ramachandran.outliers)
+    ),
     "rotamer_outlier_residues": Remaining("rotamer outliers", lambda f: _residues(f, f.side_chains.outliers)),
     "cbeta_outlier_residues": Remaining("C-beta outliers", lambda f: _residues(f, f.cbeta.outliers)),
     "fixed_residues": Remaining("held fixed", lambda f: _residues(f, fixed_residues(f.structure))),

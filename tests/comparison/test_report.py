@@ -61,17 +61,28 @@ def test_the_page_works_from_a_file(browser, page_file, width, scheme):
     page.select_option("#style", "stick")
 
     def column(k):
-        rows = page.locator("table.sortable").first.locator("tbody tr")
+        rows = page.locator("table").first.locator("tbody tr")
         return [rows.nth(i).locator("td").nth(k).inner_text() for i in range(rows.count())]
 
     assert column(0) == ["lbfgs", "kcm", "openmm"]
-    heading = page.locator("table.sortable").first.locator("th").nth(3)
+    heading = page.locator("table").first.locator("th").nth(3)
     heading.locator("button").focus()
     page.keyboard.press("Enter")
     ends = [float(value) for value in column(3)]
     assert heading.get_attribute("aria-sort") == "ascending" and ends == sorted(ends)
     page.keyboard.press("Enter")
     assert [float(value) for value in column(3)] == sorted(ends, reverse=True)
+    # A table is saved as it is sorted. Its headings stay when it scrolls, by keys too where it is cut.
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save as CSV").first.click()
+    assert [str(value) for value in pd.read_csv(saved.value.path(), dtype=str).iloc[:, 3]] == column(3)
+    assert page.locator("table").count() == page.locator("button", has_text="Save as CSV").count()
+    page.wait_for_function("document.querySelector('.scroll[role=region]').hasAttribute('tabindex')")
+    is_cut = page.locator(".scroll:has(> table)").first.evaluate("e => e.scrollWidth > e.clientWidth + 1")
+    first = page.locator(".scroll:has(> table)").first
+    assert first.get_attribute("tabindex") == ("0" if is_cut else "-1") and is_cut == (width < 500)
+    assert is_cut == ("wide" in first.get_attribute("class"))
+    assert heading.evaluate("e => getComputedStyle(e).position") == "sticky"
     assert said == []
 
 
@@ -236,6 +247,7 @@ def many_rows(n):
         "structure": [EVIL, *(f"s{k}" for k in range(1, n))],
         "method": np.where(np.arange(n) % 2, "kcm", "lbfgs"),
         "status": ["error", *["converged"] * (n - 1)], "seconds": values, "seed": 0,
+        "message": ["it has no atoms", *["well"] * (n - 1)],
     })  # fmt: skip
     data = table_data(table, ("structure", "status", "method", "seconds"), [*["page.html"] * n], "method")
     table = templates().from_string(
@@ -252,21 +264,24 @@ def test_a_table_of_ten_thousand_rows_is_searched_filtered_and_sorted(browser, t
     page.wait_for_selector(".explore[data-rows='10000']")
     rows = page.locator("tbody tr")
     # Few of them are drawn at once, whatever there are: 10,000 rows are there as soon as a hundred.
-    assert rows.count() == 100 and rows.first.locator("td").first.inner_text() == EVIL
+    # The reason of a row without a result is below it, as its column is not shown.
+    assert page.locator("tr.reason").all_inner_texts() == ["it has no atoms"]
+    assert rows.count() == 101 and rows.first.locator("td").first.inner_text() == EVIL
     heading = page.locator("thead th", has_text="seconds").locator("button")
     heading.click()
     heading.click()
+    assert page.locator("tr.reason").count() == 0  # It has the least seconds.
     drawn = [float(each) for each in page.locator("tbody tr td:nth-child(4)").all_inner_texts()]
     assert drawn == pytest.approx(values[::-1][:100], abs=0.1)
     page.select_option("label:has-text('status') select", "=error")
-    assert rows.count() == 1 and "1 of 1 rows" in page.locator("output").inner_text()
+    assert rows.count() == 2 and "1 of 1 rows" in page.locator("output").inner_text()
     page.select_option("label:has-text('status') select", "")
     page.locator("input[type=search]").fill("s999")
     assert rows.count() == 11
     with page.expect_download() as saved:
         page.get_by_text("Save rows as CSV").click()
     kept = pd.read_csv(saved.value.path())
-    assert len(kept) == 11 and [*kept] == ["structure", "method", "status", "seconds", "seed"]
+    assert len(kept) == 11 and [*kept] == ["structure", "method", "status", "seconds", "seed", "message"]
     assert page.locator(".histograms svg polyline").count() == 2
     ends = [float(each) for each in page.locator(".histograms svg text").all_text_contents()[:2]]
     assert ends == pytest.approx([kept["seconds"].min(), kept["seconds"].max()], rel=6e-3)

@@ -5,13 +5,13 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from fixtures.molecules import atom, turned
+from fixtures.molecules import atom, shaken, turned
 from fixtures.samples import ROOT, chain, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.validation.cbeta import LIMIT, cbeta_deviations
-from protochain.validation.findings import Findings, remains
+from protochain.validation.findings import Findings, describe_remains, remains
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables
@@ -260,6 +260,16 @@ def test_a_dihedral_has_the_sign_of_iupac_and_none_without_its_atoms():
     assert found[:2] == pytest.approx(np.degrees(mdtraj.compute_dihedrals(frame, atoms[:2])[0]), abs=1e-3)
 
 
+def test_ramachandran_outliers_are_named_by_residue():
+    s = shaken(load("1ubq.pdb"), 0.04)
+    table = pc.validate(s).residues
+    outliers = table[table.ramachandran == "outlier"]
+    named = [f"{row.chain}:{row['name']}{row.residue}" for _, row in outliers.iterrows()]
+    found = remains(s, s.positions)
+    assert len(named) > 2 and found["ramachandran_outlier_residues"] == named
+    assert f"Ramachandran outliers: {named[0]}, {named[1]}" in "".join(describe_remains(found))
+
+
 def test_outliers_and_clashes_between_chains_are_named_by_residue():
     """Of insulin with chain B pushed into A; the table of residues is another way to the same."""
     s = load("3i40.pdb")
@@ -271,6 +281,7 @@ def test_outliers_and_clashes_between_chains_are_named_by_residue():
     found, table = remains(s, x), pc.validate(s.with_positions(x)).residues
     named = table.apply(lambda row: f"{row.chain}:{row['name']}{row.residue}", axis=1)
     assert found["rotamer_outlier_residues"] == named[table.rotamer_outlier].tolist()
+    assert found["ramachandran_outlier_residues"] == named[table.ramachandran == "outlier"].tolist()
     assert found["cbeta_outlier_residues"] == named[table.cbeta_deviation_angstrom >= 0.25].tolist()
     # Heavy atoms that are 2.4 angstrom apart and not bonded clash, whatever else does.
     heavy = np.flatnonzero(s.atom_element != "H")

@@ -5,7 +5,25 @@ const make = (tag, properties = {}, ...children) => {
   made.append(...children);
   return made;
 };
-for (const table of document.querySelectorAll("table.sortable")) {
+const saveCsv = (name, lines) => {
+  const quoted = (value) => `"${String(value ?? "").replaceAll('"', '""')}"`;
+  const text = lines.map((line) => `${line.map(quoted).join(",")}\n`).join("");
+  make("a", { download: `${name}.csv`, href: URL.createObjectURL(new Blob([text], { type: "text/csv" })) }).click();
+};
+// A table that is cut is announced, and scrolls by keys.
+function attendScroll(scroll) {
+  scroll.setAttribute("role", "region");
+  scroll.setAttribute("aria-label", scroll.querySelector("caption")?.textContent || "Table");
+  const measure = () => {
+    const wide = scroll.scrollWidth > scroll.clientWidth + 1;
+    scroll.classList.toggle("wide", wide);
+    scroll.tabIndex = wide || scroll.scrollHeight > scroll.clientHeight + 1 ? 0 : -1;
+  };
+  new ResizeObserver(measure).observe(scroll);
+  new ResizeObserver(measure).observe(scroll.firstElementChild);
+}
+for (const table of document.querySelectorAll("table")) {
+  const body = table.tBodies[0], cells = (row) => [...row.cells].map((cell) => cell.textContent.trim());
   table.querySelectorAll("thead th").forEach((heading, column) => {
     const button = make("button", { type: "button" }, ...heading.childNodes);
     if (!button.textContent.trim()) return;
@@ -14,15 +32,18 @@ for (const table of document.querySelectorAll("table.sortable")) {
       const down = heading.getAttribute("aria-sort") === "ascending";
       table.querySelectorAll("th").forEach((other) => other.removeAttribute("aria-sort"));
       heading.setAttribute("aria-sort", down ? "descending" : "ascending");
-      const value = (row) => row.cells[column].textContent.trim();
-      const rows = [...table.tBodies[0].rows].sort((a, b) => {
-        const [x, y] = [value(a), value(b)], [p, q] = [Number(x), Number(y)];
+      body.append(...[...body.rows].sort((a, b) => {
+        const [x, y] = [cells(a)[column], cells(b)[column]], [p, q] = [Number(x), Number(y)];
         const order = Number.isNaN(p) || Number.isNaN(q) ? x.localeCompare(y) : p - q;
         return down ? -order : order;
-      });
-      table.tBodies[0].append(...rows);
+      }));
     });
   });
+  const save = make("button", { type: "button", textContent: "Save as CSV", onclick: () => saveCsv("table", [...table.rows].map(cells)) });
+  const scroll = table.parentElement, box = make("div");
+  scroll.replaceWith(box);
+  box.append(scroll, make("div", { className: "tools" }, save));
+  attendScroll(scroll);
 }
 const told = (value) => {
   if (value === null) return "n/a";
@@ -35,6 +56,8 @@ function explore(box, { columns, rows, links, by, looks }) {
   let sorted = -1, down = false, words = "", most = MORE;
   const count = make("output"), head = make("tr"), body = make("tbody"), drawings = make("div", { className: "histograms" });
   const more = make("button", { type: "button", textContent: "Show more" });
+  const [status, reason] = ["status", "message"].map((name) => columns.findIndex(({ key }) => key === name));
+  const good = (value) => ["converged", "measured"].includes(value);
   const kept = () => rows.map((row, k) => k).filter((k) => {
     for (const [column, value] of only) if (String(rows[k][column]) !== value) return false;
     return !words || rows[k].some((value) => value !== null && String(value).toLowerCase().includes(words));
@@ -49,7 +72,7 @@ function explore(box, { columns, rows, links, by, looks }) {
   function cell(k, column) {
     const value = rows[k][column], { key, number } = columns[column], text = told(value);
     const made = make("td", { className: number ? "" : text.length > 60 ? "text long" : "text" });
-    if (key === "status") made.className = `text ${value === "converged" || value === "measured" ? "converged" : "other"}`;
+    if (key === "status") made.className = `text ${good(value) ? "converged" : "other"}`;
     made.append(column === 0 && links?.[k] ? make("a", { href: links[k], textContent: text }) : text);
     return made;
   }
@@ -61,7 +84,12 @@ function explore(box, { columns, rows, links, by, looks }) {
       heading.append(make("button", { type: "button", textContent: columns[column].title, onclick: () => sort(column) }));
       return heading;
     }));
-    body.replaceChildren(...which.slice(0, most).map((k) => make("tr", {}, ...places.map((column) => cell(k, column)))));
+    body.replaceChildren(...which.slice(0, most).flatMap((k) => {
+      const row = make("tr", {}, ...places.map((column) => cell(k, column)));
+      // The reason of a row without a good end is below it, unless its column is shown.
+      if (!rows[k][reason] || shown[reason] || good(rows[k][status])) return [row];
+      return [row, make("tr", { className: "reason" }, make("td", { colSpan: places.length, className: "text" }, make("div", { textContent: rows[k][reason] })))];
+    }));
     count.textContent = `${Math.min(most, which.length)} of ${which.length} rows${which.length < rows.length ? `, ${rows.length} without filters` : ""}`;
     more.hidden = which.length <= most;
     drawings.replaceChildren(...places.filter((column) => columns[column].drawn).map((column) => histogram(which, column)).filter(Boolean));
@@ -105,11 +133,8 @@ function explore(box, { columns, rows, links, by, looks }) {
   const chosen = make("div", {}, ...columns.map(({ title }, column) => make("label", {}, make("input", {
     type: "checkbox", checked: shown[column], disabled: column === 0, onchange: (event) => { shown[column] = event.target.checked; draw(); },
   }), ` ${title}`)));
-  const save = make("button", { type: "button", textContent: "Save rows as CSV", onclick: () => {
-    const quoted = (value) => `"${String(value ?? "").replaceAll('"', '""')}"`;
-    const lines = [columns.map((each) => each.key), ...inOrder(kept()).map((k) => rows[k])].map((row) => row.map(quoted).join(","));
-    make("a", { download: "rows.csv", href: URL.createObjectURL(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" })) }).click();
-  } });
+  const save = make("button", { type: "button", textContent: "Save rows as CSV", onclick: () =>
+    saveCsv("rows", [columns.map((each) => each.key), ...inOrder(kept()).map((k) => rows[k])]) });
   more.onclick = () => { most *= 4; draw(); };
   controls.append(save, count, make("details", {}, make("summary", { textContent: "Columns" }), chosen));
   const key = make("p");
@@ -119,7 +144,8 @@ function explore(box, { columns, rows, links, by, looks }) {
   }
   const table = make("table", {}, make("caption", { textContent: box.dataset.caption }), make("thead", {}, head), body);
   const scroll = make("div", { className: "scroll" }, table);
-  box.append(key, drawings, controls, scroll, more);
+  box.append(key, drawings, controls, scroll, make("div", { className: "tools" }, more));
+  attendScroll(scroll);
   draw();
   box.dataset.rows = String(rows.length);
 }
