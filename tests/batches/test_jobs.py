@@ -38,8 +38,9 @@ PLAIN = {
 OF_RELAX = {
     "preset": defaults.PRESET, "protocol": "", "stiffness": None, "max_iterations": defaults.MAX_ITERATIONS,
     "max_outer_iterations": defaults.MAX_OUTER_ITERATIONS, "exclude": "", "keep_hydrogens": True,
-    "repack": False, "posebusters": False, "free_ligands": False, "score_only": False, "repack_region": "", "interface": "",
-    "mirror": False, "rebuild_side_chains": "", "sequence": "", "restraints": (),
+    "repack": False, "posebusters": False, "free_ligands": False, "score_only": False,
+    "repack_region": "", "interface": "", "mirror": False, "rebuild_side_chains": "",
+    "sequence": "", "restraints": (),
 }  # fmt: skip
 """Those of ``relax`` alone."""
 
