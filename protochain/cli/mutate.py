@@ -117,7 +117,7 @@ def mutate(
         with options.redirect_messages(output):
             _print(mutation)
             options.print_files(output)
-    raise typer.Exit(options.exit_status([str(mutation.mutant.status)]))
+    raise typer.Exit(_status([mutation.record()]))
 
 
 def _print(mutation: "Mutation") -> None:
@@ -140,6 +140,16 @@ def _print_rows(columns: Sequence[str], rows: Sequence[dict[str, Any]], *files: 
     print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
     tell(Kind.RESULT, _MEANING)
     options.print_files(*files)
+
+
+def _status(rows: Sequence[dict[str, Any]]) -> int:
+    """Exit status of mutants. An energy difference has converged if both sides have."""
+    statuses = [row[side] for row in rows for side in ("status", "status_wild") if row[side]]
+    return options.exit_status(statuses, usable=any(row[_ENERGY] is not None for row in rows))
+
+
+_ENERGY = "energy_mutant_kj_mol"
+"""Column of rows that have a result."""
 
 
 def _designs(
@@ -170,7 +180,7 @@ def _designs(
         options.print_json({"input": str(source), "results": rows, "files": [*map(str, files)]})
     else:
         _print_rows(["record", *_SHOWN[1:]], rows, table)
-    return options.exit_status(row["status"] for row in rows)
+    return _status(rows)
 
 
 def _scan(
@@ -209,4 +219,4 @@ def _scan(
         _print_rows(_SHOWN, rows, table, report)
     if interrupted:
         return options.fail("interrupted. Continue with --resume", options.INTERRUPTED)
-    return options.exit_status(row["status"] for row in rows)
+    return _status(rows)

@@ -42,11 +42,13 @@ def test_a_cutoff_is_that_of_openmms_files(solvent):
     assert abs(pc.energy(s, solvent=solvent, cutoff=None)(s.positions)[0] - expected) > 1.0
 
 
-def test_the_error_of_a_cutoff_is_said():
+@pytest.mark.parametrize("solvent", ["obc2", "vacuum"])
+def test_the_error_of_a_cutoff_is_said(solvent):
+    """Compared with all pairs, without a reaction field, which a cutoff has in vacuum alone."""
     s = load("1l2y.pdb")
-    whole = pc.energy(s)(s.positions)[1]
+    whole = pc.energy(s, solvent=solvent)(s.positions)[1]
     for cutoff in (0.8, 1.5):
-        e = pc.energy(s, cutoff=cutoff)
+        e = pc.energy(s, solvent=solvent, cutoff=cutoff)
         off = np.sqrt(np.mean(np.sum((e(s.positions)[1] - whole) ** 2, axis=1)))
         assert f"cutoff {cutoff:g} nm" in e.reason
         (said,) = re.findall(r"differ by (\S+) kJ/mol/nm RMS", e.reason)

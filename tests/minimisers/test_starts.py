@@ -62,12 +62,13 @@ def made():
     return Starts(c, tuple(solutions))
 
 
-def test_the_best_is_the_first_of_lowest_energy():
+@pytest.mark.parametrize("status", [Status.INVERTED, Status.ISOMERISED])
+def test_the_best_is_the_first_of_lowest_energy(status):
     found = made()
     assert found.best is found.solutions[1]
-    solutions = [replace(s, status=Status.INVERTED) if s.energy == -12.0 else s for s in found.solutions]
+    solutions = [replace(s, status=status) if s.energy == -12.0 else s for s in found.solutions]
     assert replace(found, solutions=tuple(solutions)).best is solutions[4]
-    inverted = tuple(replace(s, status=Status.INVERTED) for s in solutions)
+    inverted = tuple(replace(s, status=status) for s in solutions)
     assert replace(found, solutions=inverted).best is inverted[1]
 
 

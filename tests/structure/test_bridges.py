@@ -454,6 +454,25 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
     assert linked(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
 
 
+BONDS_TO_SUGARS = {
+    "ASN": {"ND2": "CG", "OD1": ""}, "ASP": {"OD1": "CG", "OD2": "CG"}, "GLU": {"OE1": "CD", "OE2": "CD"},
+    "SER": {"OG": "CB"}, "THR": {"OG1": "CB"}, "TYR": {"OH": "CZ"}, "CYS": {"SG": "CB"}, "LYS": {"NZ": "CE"},
+    "HIS": {"ND1": "CG", "NE2": "CD2"}, "TRP": {"CD1": "CG", "NE1": ""}, "GLN": {"NE2": "", "OE1": ""},
+    "ARG": {"NE": "", "NH1": "", "NH2": ""}, "MET": {"SD": ""},
+}  # fmt: skip
+"""Atoms that bond to C1 of a sugar, each with its neighbour, or none if no protein has such a bond."""
+
+
+@pytest.mark.parametrize("name", BONDS_TO_SUGARS)
+def test_every_atom_that_is_known_to_bond_to_sugars_does_without_a_record(name):
+    for donor, neighbour in BONDS_TO_SUGARS[name].items():
+        far = sum(gemmi.Element(e).covalent_r for e in (donor[0], "C"))
+        residue = placed(name, 1, **{donor: (far, 0.0, 0.0), neighbour or "CB": (far + 0.7, -1.2, 0.0)})
+        draft = beside([residue], sugar())
+        assert [link.atom.name for link in linked(draft)] == [donor] * bool(neighbour), donor
+        assert kinds(draft) == [Kind.BONDED if neighbour else Kind.NEAR]
+
+
 @pytest.mark.parametrize(
     ("residue", "other", "why"),
     [
