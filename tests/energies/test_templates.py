@@ -5,9 +5,10 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 from fixtures.samples import load, shared
+from openmm import app
 
 import protochain as pc
-from protochain.energies import factory
+from protochain.energies import elements, factory
 from protochain.energies.native.terms import compile_system
 
 
@@ -69,3 +70,24 @@ def test_errors_are_reported_as_of_the_system():
     structure = pc.load(shared("1as5_conotoxin.cif"), keep="none")
     with pytest.raises(pc.ProtochainError, match="does not fit"):
         pc.energy(structure, "amber99sb")
+
+
+@pytest.mark.parametrize(
+    ("name", "end", "base", "charge"), [("CYS", "SG", "CYS", 0), ("LYS", "NZ", "LYS", 1)]
+)
+def test_a_residue_with_a_bond_to_a_kept_molecule_is_of_the_form_with_most_hydrogens(name, end, base, charge):
+    """Its charge is that of the form with the hydrogen in place of the bond: CYS, not CYM."""
+    field = app.ForceField("amber14/protein.ff14SB.xml")
+    template = field._templates[base]
+    topology, atoms = app.Topology(), {}
+    residue = topology.addResidue(name, topology.addChain())
+    lost = next(a.name for a in reversed(template.atoms) if a.name.startswith("H" + end[1]))
+    for atom in (a for a in template.atoms if a.name != lost):
+        atoms[atom.name] = topology.addAtom(atom.name, atom.element, residue)
+    for i, j in template.bonds:
+        names = template.atoms[i].name, template.atoms[j].name
+        if lost not in names:
+            topology.addBond(*(atoms[end] for end in names))
+    made = field._templates[elements._linked_template(field, residue, [atoms[end].index])]
+    assert made.name.startswith(f"{base}-linked-") and len(made.atoms) == len(template.atoms) - 1
+    assert sum(a.parameters["charge"] for a in made.atoms) == pytest.approx(charge, abs=1e-9)

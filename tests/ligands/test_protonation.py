@@ -6,7 +6,10 @@ import pytest
 
 import protochain as pc
 from protochain.ligands import protonation, sources
-from protochain.ligands.protonation import at_ph, unsure
+from protochain.ligands.molecule import from_rdkit, to_rdkit
+from protochain.ligands.protonation import at_metal, at_ph, unsure
+
+Chem = pytest.importorskip("rdkit.Chem")
 
 NITRO = "[N+](=O)[O-]"
 
@@ -83,3 +86,26 @@ def test_thiophosphates_are_one_anion_in_both_drawings(pair):
 def test_five_and_six_neighbours_are_refused(smiles):
     with pytest.raises(pc.ProtochainError, match="neighbours"):
         pc.ligand(smiles)
+
+
+@pytest.mark.parametrize("smiles", ["c1n[nH]cn1", "Cc1nn[nH]n1", "c1c[nH]nn1"])
+def test_a_metal_moves_the_proton_of_an_azole_to_the_same_nitrogen_in_every_order_of_atoms(smiles):
+    bare = Chem.MolFromSmiles(smiles)
+    bearing = next(a.GetIdx() for a in bare.GetAtoms() if a.GetSymbol() == "N" and a.GetTotalNumHs())
+    states = set()
+    for seed in range(6):
+        order = np.random.default_rng(seed).permutation(bare.GetNumAtoms()).tolist()
+        molecule = from_rdkit(Chem.AddHs(Chem.RenumberAtoms(bare, order)), "test")
+        state, _ = at_metal(molecule, [order.index(bearing)])
+        drawn = Chem.Mol(to_rdkit(state))
+        drawn.GetAtomWithIdx(order.index(bearing)).SetIsotope(15)
+        states.add(Chem.MolToSmiles(Chem.RemoveHs(drawn)))
+    assert len(states) == 1 and "[15n]" in states.pop()
+
+
+def test_an_azole_whose_nitrogens_all_hold_metals_loses_its_proton():
+    molecule = sources.read("c1c[nH]cn1")
+    nitrogens = [k for k, element in enumerate(molecule.elements) if element == 7]
+    one, _ = at_metal(molecule, nitrogens[:1])
+    both, _ = at_metal(molecule, nitrogens)
+    assert (one.formal_charges.sum(), both.formal_charges.sum()) == (0, -1)
