@@ -115,6 +115,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
     ]
     lines = [summary, *([f"ligands: {abridge(motion, _LIGANDS)}"] if motion else [])]
+    lines += _posebusters(record["ligands"]) if result.settings.posebusters else []
     details = []
     if record["repacked"]:
         repacked = summarise(result.turned) or ("no side chain improves",)
@@ -129,6 +130,21 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     print_lost([record])
     tell(Kind.WRITTEN, f"written: {'standard output' if record['output'] == '-' else record['output']}")
     print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
+
+
+def _posebusters(ligands: list[dict[str, Any]]) -> list[str]:
+    """Summary of PoseBusters' tests, a line."""
+    before, after = ([m[f"posebusters_passed_{when}"] for m in ligands] for when in ("start", "end"))
+    if not ligands or None in after:
+        reason = "PoseBusters is not installed" if ligands else "no ligand has known chemistry"
+        return [f"PoseBusters' tests: not run, {reason}"]
+    failed = [
+        f"{m['name']} {m['chain']}:{m['residue']} fails {', '.join(m['posebusters_failed_end'])}"
+        for m in ligands if not m["posebusters_passed_end"]
+    ]  # fmt: skip
+    n = plural(len(ligands), "ligand")
+    passing = f"PoseBusters' tests: {sum(before)} of {n} passed before, {sum(after)} after"
+    return ["; ".join([passing, *([abridge(failed, _LIGANDS)] if failed else [])])]
 
 
 def _print_wrapped(kind: Kind, lines: list[str]) -> None:

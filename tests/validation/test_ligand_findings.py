@@ -11,6 +11,7 @@ from fixtures.samples import STRUCTURES, shared
 from fixtures.tolerances import STRAIN
 
 import protochain as pc
+from protochain.cli.relaxing import _posebusters
 from protochain.ligands.energy import Function, nearest_minimum, strain
 from protochain.ligands.molecule import to_rdkit
 from protochain.validation.ligands import ligand_motion
@@ -137,6 +138,17 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
     assert "posebusters" in v.posebusters_missing and "pip install" in v.posebusters_missing
     assert run("validate", PROTEIN, "--ligands", pose, "--posebusters") == 0
     assert capsys.readouterr().out.count("pip install") == 1
+    few = ["--max-iterations", "2", "-o", tmp_path / "out.pdb"]
+    run("relax", PROTEIN, "--ligands", pose, "--posebusters", *few)
+    assert "PoseBusters' tests: not run" in capsys.readouterr().out
+    # With results, ligands before and after are counted, and the failed tests named.
+    both = {"posebusters_passed_start": False, "chain": "B", "residue": "1", "name": "LIG"}
+    ligands = [
+        both | {"posebusters_passed_end": True, "posebusters_failed_end": []},
+        both | {"posebusters_passed_end": False, "posebusters_failed_end": ["bond_lengths"]},
+    ]
+    (line,) = _posebusters(ligands)
+    assert "0 of 2 ligands passed before, 1 after; LIG B:1 fails bond_lengths" in line
 
 
 def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
