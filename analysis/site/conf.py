@@ -6,10 +6,12 @@ Pages stay where they are and read as well on GitHub; notebooks are shown as the
 It is built from a copy, and what it shows needs no network: mathematics is MathML, made here.
 """
 
+import re
 from importlib import import_module
 from inspect import isclass, ismodule, isroutine
 from pathlib import Path
 from tomllib import loads
+from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
@@ -47,6 +49,7 @@ html_title = project
 html_extra_path = ["root"]
 html_copy_source = False
 html_static_path = ["static"]
+templates_path = ["templates"]
 html_css_files = ["site.css"]
 
 PACKAGES = (
@@ -93,8 +96,31 @@ def plain_output(app: Sphinx, doctree: nodes.document) -> None:
                 block["language"] = "text"
 
 
+ROLES = (
+    ('role="heading"', 'role="heading" aria-level="2"'),  # A role of heading requires its level.
+    ('role="list" class="citation-list"', 'class="citation-list"'),  # Its children are not items of a list.
+    ('class="indextable', 'role="presentation" class="indextable'),  # A table for the layout of an index.
+    ('class="output text_html"', 'tabindex="0" class="output text_html"'),  # It scrolls if it is wide.
+)
+OPTION = re.compile(r"(?<=[\s>\[(|])--?[A-Za-z][\w-]*")
+
+
+def repair_page(app: Sphinx, name: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Correct the roles that the theme gives, and keep options such as --reference on one line."""
+    for key in ("body", "furo_navigation_tree"):
+        text = context.get(key) or ""
+        for wrong, right in ROLES:
+            text = text.replace(wrong, right)
+        context[key] = re.sub(r"<(pre|code)\b.*?</\1>", _mark_options, text, flags=re.S)
+
+
+def _mark_options(code: re.Match[str]) -> str:
+    return OPTION.sub(r'<span class="option">\g<0></span>', code[0])
+
+
 def setup(app: Sphinx) -> None:
-    """Write the reference, in the folder that is built from; mathematics; plain output."""
+    """Write the reference, in the folder that is built from; mathematics; plain output; repairs."""
     app.connect("config-inited", lambda app, _: write_reference(Path(app.srcdir) / "analysis/site/reference"))
     app.connect("doctree-read", plain_output)
     app.add_html_math_renderer("mathml", (as_mathml, None), (as_mathml, None))
+    app.connect("html-page-context", repair_page, priority=900)  # After the theme.

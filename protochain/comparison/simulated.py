@@ -55,6 +55,8 @@ def write_simulated(
         n_frames=len(log),
         trajectory=trajectory.name,
         averages=averages(log),
+        last=log.iloc[-1].to_dict(),
+        means=log.mean(numeric_only=True).to_dict(),
         figures={
             "log": data_url(_log(log)),
             "rmsf": data_url(_fluctuations(structure, frames)),

@@ -205,7 +205,11 @@ def inputs(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", [name for name in looks.PAGES if name not in ("compare", "ligand")])
+LONG = "compare", "ligand", "predicted"
+"""Pages that other tests open, or that take minutes."""
+
+
+@pytest.mark.parametrize("name", [name for name in looks.PAGES if name not in LONG])
 def test_a_page_is_sound_at_both_widths_light_and_dark(browser, name, inputs, tmp_path, monkeypatch):
     """Of the page, by AUDIT; of its figures, no text over an edge or another, and units."""
     from fixtures.command_line import run
@@ -224,9 +228,19 @@ def test_a_page_is_sound_at_both_widths_light_and_dark(browser, name, inputs, tm
     assert [line for file in files for line in looks.looked_at(browser, file)] == []
 
 
+def test_the_page_of_a_mechanism_is_sound(browser, inputs):
+    (file,) = looks.pages_of("mechanism", inputs / "mechanism", inputs)
+    assert list(looks.looked_at(browser, file)) == []
+
+
 def test_the_audit_sees_what_is_wrong(browser, tmp_path):
     """Each fault of a page without any is told."""
+    below = '<p style="margin-top: -2.5rem">below</p>'
+    blank = '<canvas width="90" height="90" aria-label="blank"></canvas>'
     faulty = {
+        "overlaps": f"<p>above</p>{below}", "empty picture": blank, "not one main": "<main>more</main>",
+        "empty panel": '<section style="height: 6rem"></section>',
+        "two of id": '<p id="a">x</p><p id="a">y</p>',
         "scrolls to the side": '<div style="width: 2000px">wide</div>',
         "contrast": '<p style="color: #999; background: #ccc">pale</p>',
         "cut": '<div style="overflow: hidden; width: 3rem; white-space: nowrap">too long</div>',
@@ -235,9 +249,20 @@ def test_the_audit_sees_what_is_wrong(browser, tmp_path):
     }  # fmt: skip
     page = browser.new_page(viewport={"width": 390, "height": 400})
     for fault, html in [("", "<p>well</p>"), *faulty.items()]:
-        page.set_content(f'<html lang="en"><title>t</title><h1>h</h1>{html}</html>')
+        page.set_content(f'<html lang="en"><title>t</title><main><h1>h</h1>{html}</main></html>')
         found = page.evaluate(looks.AUDIT)
         assert bool(found) == bool(fault) and all(fault in line for line in found[:1]), (fault, found)
+    cell = '<table><tr><th style="min-width: 900px">h</th></tr></table>'
+    table = f'<div class="scroll" style="overflow: auto">{cell}</div>'
+    page.set_content(f'<html lang="en"><title>t</title><main><h1>h</h1>{table}</main></html>')
+    assert page.evaluate(looks.AUDIT) == [] and "loses columns" in page.evaluate(looks.AUDIT, True)[0]
+
+
+def test_axe_sees_what_is_wrong(browser):
+    pytest.importorskip("axe_playwright_python")
+    page = browser.new_page(viewport={"width": 390, "height": 400})
+    page.set_content('<html lang="en"><title>t</title><main><h1 role="list">h</h1></main></html>')
+    assert any(line.startswith("axe: ") for line in looks.audited(page, axe=looks.axe_source()))
 
 
 def many_rows(n):

@@ -150,3 +150,12 @@ function explore(box, { columns, rows, links, by, looks }) {
   box.dataset.rows = String(rows.length);
 }
 for (const box of document.querySelectorAll(".explore")) explore(box, JSON.parse(box.querySelector("script").textContent));
+// A box that scrolls is reached by the keyboard, too.
+const reach = () => {
+  for (const box of document.querySelectorAll(".scroll:not([role])")) {
+    if (box.scrollWidth > box.clientWidth || box.scrollHeight > box.clientHeight) box.tabIndex = 0;
+    else box.removeAttribute("tabindex");
+  }
+};
+for (const event of ["load", "resize"]) addEventListener(event, reach);
+reach();

@@ -5,13 +5,14 @@ const namedAtom = (atom) => `${atom.resn} ${placeOf(atom)}, atom ${atom.atom}`;
 const stages = [];
 function makeViewer(id) {
   const box = document.getElementById(id), stage = document.createElement("div"), tools = document.createElement("div");
-  const dark = matchMedia("(prefers-color-scheme: dark)"), ground = () => (dark.matches ? "#1b1b1b" : "white");
+  const ground = () => getComputedStyle(document.documentElement).getPropertyValue("--card").trim();
   stage.className = "stage";
   tools.className = "tools";
   box.replaceWith(stage);
   stage.append(box, tools);
   const viewer = $3Dmol.createViewer(id, { id: `${id}-canvas`, backgroundColor: ground(), preserveDrawingBuffer: true });
-  dark.addEventListener("change", () => { viewer.setBackgroundColor(ground()); viewer.render(); });
+  for (const media of ["(prefers-color-scheme: dark)", "print"])
+    matchMedia(media).addEventListener("change", () => { viewer.setBackgroundColor(ground()); viewer.render(); });
   const add = (words, act) => {
     const button = document.createElement("button");
     Object.assign(button, { type: "button", textContent: words });
