@@ -209,7 +209,7 @@ def main(folder: Path, names: list[str], site: Path | None, gallery: Path | None
         for file in sorted(site.rglob("*.html")) if site else ():
             for line in looked_at(browser, file, widths=(1400, 390)):
                 wrong += 1
-                print(f"{file.relative_to(site)}: {line}", flush=True)
+                print(f"{file}: {line}", flush=True)
     return min(wrong, 1)
 
 
