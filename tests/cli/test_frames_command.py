@@ -1,12 +1,13 @@
 """``--trajectory`` and ``--frames`` of relax, validate, energy and rmsd: files, exit statuses, refusals."""
 
 import json
+import re
 from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import refusal, run
+from fixtures.command_line import refusal, refusal_as_said, run
 from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
 
@@ -82,8 +83,14 @@ def test_other_commands_write_a_row_a_frame(here, capsys):
             False,
             False,
         ]
-    worst = pd.read_csv("e.csv").nlargest(1, "total_kj_mol")["frame"].item()
-    assert f"highest total kJ/mol: frames {worst} (" in capsys.readouterr().out
+    capsys.readouterr()
+    # The frames are farther and farther from the structure, and the farthest is neither first nor last.
+    x = load(SMALL).positions * np.array([1.01, 1.03, 1.02, 1.05, 1.04])[:, None, None]
+    saved(load(SMALL), x, here / "y.dcd")
+    assert run("energy", "top.pdb", "--trajectory", "y.dcd", "-o", "y.csv", "--threads", 1) == 0
+    assert pd.read_csv("y.csv")["total_kj_mol"].argsort().tolist() == [0, 2, 1, 4, 3]
+    (named,) = re.findall(r"highest total kJ/mol: frames (.*)", capsys.readouterr().out)
+    assert re.findall(r"(\d+) \(", named) == ["3", "4", "1"]
     structure = load(SMALL)
     x = next(iter(open_frames(here / "x.dcd", 3))).x
     assert pd.read_csv("r2.csv")["rmsd_angstrom"][1] == pytest.approx(
@@ -108,13 +115,8 @@ def test_frames_that_are_written_though_none_converged_are_no_failure(here):
         ("relax top.pdb models.pdb --trajectory x.dcd", "one structure"),
         ("relax top.pdb --trajectory x.dcd -o o.foo", ".foo"),
         ("relax top.pdb --trajectory x.dcd -o x.dcd", "is the input"),
-        ("relax top.pdb --trajectory x.dcd --ligand-out l.sdf -o o.dcd", "ligand_out"),
         ("relax top.pdb --trajectory x.dcd --report page.txt -o o.dcd", ".html"),
         ("relax - --frames all", "standard input"),
-        ("validate top.pdb --resume", "resume"),
-        ("validate top.pdb --trajectory x.dcd --residues r.csv", "residues"),
-        ("energy top.pdb --trajectory x.dcd --by residue", "by"),
-        ("energy top.pdb --workers 2", "workers"),
         ("rmsd top.pdb top.pdb models.pdb --trajectory x.dcd", "one structure"),
     ],
 )
@@ -123,6 +125,35 @@ def test_what_makes_no_sense_is_refused_in_a_line(here, given, said):
     line = refusal(*given.split())
     assert said in line and "\n" not in line
     assert {path.name for path in here.iterdir()} == before
+
+
+EXCLUDED = {
+    "relax top.pdb --trajectory x.dcd -o o.dcd": "scheduler=tcp://x ligand-out=l.sdf protein-out=p.pdb "
+    "restraint-csv=r.csv posebusters timings",
+    "validate top.pdb --trajectory x.dcd": "residues=r.csv changes=c.csv posebusters",
+    "energy top.pdb --trajectory x.dcd": "by=residue report=r.html",
+    "score top.pdb --trajectory x.dcd": "rank=clashes residues=r.csv report=r.html",
+    "validate top.pdb": "workers=2 resume report=r.html", "energy top.pdb": "workers=2 resume",
+    "rmsd top.pdb top.pdb": "workers=2 resume", "score top.pdb": "workers=2 resume",
+    "relax top.pdb": "workers=2 time-limit=9 resume",
+    "relax top.pdb models.pdb": "report=r.html timings restraint-csv=r.csv",
+    "minimise models.pdb --model all": "timings trace=t.csv trajectory=y.dcd checkpoint=c.npz resume=c.npz "
+    "report=r.html ligand-out=l.sdf restraint-csv=r.csv",
+    "simulate top.pdb": "trajectory-length=5", "simulate top.pdb --thermostat none": "friction=2",
+    "search top.pdb --method csa": "temperatures=300-400 replicas=3 pilot=9", "batch top.pdb": "null",
+    "mutate top.pdb A2G": "into=V workers=2 scheduler=tcp://x time-limit=9 resume report=r.html",
+}  # fmt: skip
+"""Commands, and options that would have no effect there."""
+
+
+@pytest.mark.parametrize("command", EXCLUDED)
+def test_an_option_without_an_effect_is_refused_by_name(here, command):
+    before = {path.name for path in here.iterdir()}
+    for option in EXCLUDED[command].split():
+        assert f"--{option.split('=')[0]} " in refusal_as_said(*command.split(), *f"--{option}".split("=")), (
+            option
+        )
+        assert {path.name for path in here.iterdir()} == before
 
 
 def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):

@@ -222,6 +222,18 @@ def test_a_scan_has_the_rows_of_mutants_alone(leucine):
     assert drawn.shape == (1, 2) and drawn[0, 0] == leucine.ddg
 
 
+def test_rows_of_a_scan_are_the_mutations_alone_in_the_order_of_the_sites():
+    """Sites and letters in another order than in the file, whose moving residues are as many."""
+    few = {"solvent": "vacuum", "threads": 1, "max_iterations": 2, "max_outer_iterations": 1}
+    table = pc.scan_mutations(STRUCTURES / "ala10.pdb", "A:6,A:5", "VGS", **few).set_index("mutations")
+    assert [*table.index] == [f"A:A{site}{letter}" for site in (5, 6) for letter in "GSV"]
+    assert table["n_residues_moved"].nunique() < len(table)
+    for name in ("A:A5S", "A:A6G", "A:A6V"):
+        alone = pc.mutate(STRUCTURES / "ala10.pdb", name, **few).record()
+        for key in ("ddg_kj_mol", "energy_mutant_kj_mol", "energy_wild_kj_mol", "unfolded_change_kj_mol"):
+            assert table.loc[name, key] == pytest.approx(alone[key], abs=1e-6), (name, key)
+
+
 def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     """A row that is there stays, and is not made again."""
     monkeypatch.chdir(tmp_path)
