@@ -119,22 +119,25 @@ def well(r, low, high, low_end, high_end, k):
 @pytest.mark.parametrize(
     "potential, bounds",
     [
-        ("square-well-parabolic-linear", (4.0, 5.0, 3.5, 5.5)),
+        ("square-well-parabolic-linear", (4.0, 5.0, 3.2, 5.6)),
         ("square-well-parabolic", (4.0, 5.0, -1e9, 1e9)),
-        ("upper-bound-parabolic-linear", (0.0, 5.0, 0.0, 5.5)),
+        ("upper-bound-parabolic-linear", (0.0, 5.0, 0.0, 5.6)),
         ("lower-bound-parabolic", (4.0, 1e9, -1e9, 1e9)),
         ("parabolic", (4.6, 4.6, -1e9, 1e9)),
-        (".", (4.0, 5.0, 3.5, 5.5)),
+        (".", (4.0, 5.0, 3.2, 5.6)),
     ],
 )
-def test_potentials_are_those_of_the_specification(cage, read, potential, bounds):
+@pytest.mark.parametrize("order", [1, -1])
+def test_potentials_are_those_of_the_specification(cage, read, potential, bounds, order):
+    """Columns in any order, and ends of the two sides at different distances."""
     columns = "weight target_value target_value_uncertainty lower_limit upper_limit"
-    columns = f"{columns} lower_linear_limit upper_linear_limit"
-    row = (1, (3, "TYR", "CA"), (12, "PRO", "CA"), 2.5, 4.6, 0.3, 4.0, 5.0, 3.5, 5.5)
-    held = read(distances([row], columns, potential=potential))
+    columns = f"{columns} lower_linear_limit upper_linear_limit".split()[::order]
+    values = (2.5, 4.6, 0.3, 4.0, 5.0, 3.2, 5.6)[::order]
+    row = (1, (3, "TYR", "CA"), (12, "PRO", "CA"), *values)
+    held = read(distances([row], " ".join(columns), potential=potential))
     number = cage.residue_number.astype(int)[cage.atom_residue]
     a, b = (int(np.flatnonzero((number == n) & (cage.atom_name == "CA")).item()) for n in (3, 12))
-    for r in (2.0, 3.4, 3.6, 4.5, 5.2, 5.4, 7.0):
+    for r in (2.0, 3.1, 3.3, 3.6, 4.5, 5.2, 5.5, 5.7, 7.0):
         x = np.array(cage.positions)
         x[b] = x[a] + [0.1 * r, 0.0, 0.0]
         # k is half of the stiffness, 1000 kJ/mol/nm^2 times the weight.
@@ -180,6 +183,40 @@ def test_dihedrals_are_between_their_limits_around_the_circle(cage, read, limits
     outside = 0.0 if at <= width else min(at - width, 360.0 - at)
     assert held(cage.positions)[0] == pytest.approx(500.0 * np.deg2rad(outside) ** 2, abs=1e-9)
     check_forces(held, cage.positions, str(limits))
+
+
+def test_both_sides_of_a_dihedral_have_ends_of_their_own(cage, read):
+    phi = cage.dihedrals()["phi"][4]
+    further = "lower_limit upper_limit lower_linear_limit upper_linear_limit"
+    for low, high in ((phi + 10.0, phi + 50.0), (phi - 50.0, phi - 10.0)):
+        text = dihedral(low, high, low - 4.0, high + 6.0, further=further)
+        held = read(text.replace("parabolic", "parabolic-linear"))
+        e, end = np.deg2rad([10.0, 4.0 if phi < low else 6.0])
+        assert held(cage.positions)[0] == pytest.approx(500.0 * end * (2.0 * e - end), rel=1e-6)
+
+
+@pytest.mark.parametrize("form", ["own", "amber", "cns"])
+def test_walls_differ_in_every_form(cage, tmp_path, form):
+    """Steeper above than below, from 4 to 5 angstrom, and linear from 3.2 and 5.6 on."""
+    number = cage.residue_number.astype(int)[cage.atom_residue]
+    a, b = (int(np.flatnonzero((number == n) & (cage.atom_name == "CA")).item()) for n in (3, 12))
+    k, path = (200.0, 400.0), tmp_path / "r.txt"
+    in_kcal = [side / (2.0 * 4.184 * 100.0) for side in k]
+    path.write_text({
+        "own": f"distance A:3:CA A:12:CA 4 5 {k[0]},{k[1]} linear=0.8,0.6\n",
+        "amber": "&rst iat=3,12, iresid=1, atnam(1)='CA', atnam(2)='CA', r1=3.2, r2=4, r3=5, r4=5.6, "
+        f"rk2={in_kcal[0]}, rk3={in_kcal[1]} /",
+        "cns": "assign (resid 3 and name CA) (resid 12 and name CA) 4.3 0.3 0.7\n",
+    }[form])  # fmt: skip
+    held = Restraints.of(cage, path)
+    (one,) = held.listed
+    assert (one.lower, one.upper) == pytest.approx((4.0, 5.0))
+    if form == "cns":
+        return
+    for r, side in ((2.0, 0), (3.3, 0), (4.5, 0), (5.5, 1), (7.0, 1)):
+        x = np.array(cage.positions)
+        x[b] = x[a] + [0.1 * r, 0.0, 0.0]
+        assert held(x)[0] == pytest.approx(well(r, 4.0, 5.0, 3.2, 5.6, 0.005 * k[side]), abs=1e-9), r
 
 
 STAR = """data_test
