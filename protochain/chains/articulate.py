@@ -104,7 +104,7 @@ def build_chain(
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
     single = {word.replace("@", " ") for word in opened if "@" in word}
-    possible = [*find_hinges(structure, [*open_kinds, *(_SINGLE if single else ())])]
+    possible = find_hinges(structure, (*open_kinds, *(_SINGLE if single else ())))
     if strange := {name.removeprefix("-") for name in single} - {hinge.name for hinge in possible}:
         raise ChainError(
             f"{structure.name}: there is no hinge {min(strange)!r}; name it as phi@A:3 or chi1@A:3"

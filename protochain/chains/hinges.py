@@ -11,7 +11,7 @@ from protochain.core.graph import Neighbours, beyond, components, group_members,
 from protochain.ligands.molecule import Molecule
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.dihedrals import dihedral_finder
-from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.sugars import last_of_ring
 
 HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand", "glycan")
@@ -56,6 +56,7 @@ class Hinge:
         return f"{self.kind} of {self.residue_name} {number} chain {self.chain}"
 
 
+@per_structure
 def cross_links(structure: Structure) -> np.ndarray:
     """(nbonds,) bool: bonds between residues not along chains. A molecule is rigid at its first bond."""
     first, second = structure.bonds.T
@@ -79,8 +80,13 @@ def cross_links(structure: Structure) -> np.ndarray:
     return cut
 
 
-def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
-    """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
+@per_structure
+def find_hinges(structure: Structure, kinds: tuple[str, ...]) -> tuple[Hinge, ...]:
+    """Dihedrals of these kinds whose four atoms are present, in residue order."""
+    return (*_hinges(structure, kinds),)
+
+
+def _hinges(structure: Structure, kinds: tuple[str, ...]) -> Iterator[Hinge]:
     modified = _find_modified(structure)
     requested = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
     index, bonds_of = dihedral_finder(structure, requested)

@@ -1,7 +1,7 @@
 """``protochain minimise``."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -108,9 +108,18 @@ def minimise(
     with _Writer(output, suffix, one_file) as write:
         for run_setup, path in runs:
             with measure_run(from_start=not records):
-                records.append(
-                    _solve_and_write(context, source, run_setup, path, recipe, solve, lengths, write, extras)
+                record = _solve_and_write(
+                    context,
+                    source,
+                    run_setup,
+                    path,
+                    recipe,
+                    solve,
+                    lengths,
+                    write,
+                    extras | {"terms": as_json},
                 )
+                records.append(record)
             if records[-1]["status"] == "interrupted":
                 break
     with options.redirect_messages(output):
@@ -191,7 +200,7 @@ def _solve_and_write(
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
     write: _Writer,
-    extras: dict[str, Path | None],
+    extras: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
     chain, energy, preparation = options.prepare(source, setup)

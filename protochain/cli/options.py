@@ -465,8 +465,12 @@ def write_outputs(
     ligands: Path | None,
     trace: Path | None = None,
     restraints: Path | None = None,
+    terms: bool = True,
 ) -> dict[str, Any]:
-    """Write a structure and its further files. Report a full disk. Return the record, or exit without one."""
+    """Write a structure and its further files. Report a full disk. Return the record, or exit without one.
+
+    Without ``terms`` and a report the record lacks the energies of single terms.
+    """
     from protochain.core.storage import write_atomically
     from protochain.structure.formats.confidences import copy_confidences
 
@@ -475,7 +479,7 @@ def write_outputs(
         raise SystemExit(fail(reason))
     write()
     with part("measuring"):
-        record = {**result.record(), **entries}
+        record = {**result.record(terms or report is not None), **entries}
     try:
         if trace:
             write_atomically(trace, partial(result.trace.to_csv, index=False))

@@ -180,8 +180,9 @@ def _one(
                 options.write_models([result.structure], output, suffix_of(source), *arguments)
 
             record = options.write_outputs(
-                result, origin, write, setup, _write_page, report, ligand_out, restraints=restraint_csv
-            )
+                result, origin, write, setup, _write_page, report, ligand_out, restraints=restraint_csv,
+                terms=as_json,
+            )  # fmt: skip
     if protein_out:
         atoms = [int(ligand.atoms[0]) for ligand in structure.ligands if ligand.posed]
         residues = [structure.residue(int(structure.atom_residue[atom])) for atom in atoms]

@@ -2,7 +2,12 @@
 
 import os
 import sys
+from contextlib import AbstractContextManager
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+from threadpoolctl import ThreadpoolController
 
 _CGROUPS = Path("/sys/fs/cgroup")
 _OWN = Path("/proc/self/cgroup")
@@ -40,6 +45,20 @@ def _text(path: Path) -> str:
         return path.read_text()
     except OSError:
         return ""
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Limit BLAS to one thread: sums must not depend on the machine, nor threads compete with the energy."""
+    return _libraries(frozenset(_WITH_BLAS & sys.modules.keys())).limit(limits=1, user_api="blas")
+
+
+@cache
+def _libraries(modules: frozenset[str]) -> ThreadpoolController:
+    """Return the loaded libraries with threads. A search for them takes as long as some evaluations."""
+    return ThreadpoolController()
+
+
+_WITH_BLAS = {"numpy", "scipy.linalg", "torch", "sklearn"}
 
 
 def own_python(statement: str) -> list[str]:

@@ -10,7 +10,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from protochain.chains.articulate import run_identity, transfer_coordinates, with_energy, with_free_root
 from protochain.chains.chain import Chain, place_atoms
@@ -22,6 +21,7 @@ from protochain.core.checks import WATCHER, check_arguments, optional, path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import abridge
+from protochain.core.processors import one_blas_thread
 from protochain.core.settings import document_settings, settings_from
 from protochain.core.storage import claim_folder
 from protochain.core.units import MOLAR_GAS
@@ -118,7 +118,7 @@ def simulate(
         # A resumed run has the loops of its original start, not of this q.
         run = _prepare(chain, energy, q, settings, constants_of(path) if resume and path else {})
         folder = None if path is None else Folder(path, trajectory, run.identity, run.constants)
-        with threadpool_limits(1, "blas"), rescue_on_failure(folder):
+        with one_blas_thread(), rescue_on_failure(folder):
             return _simulate(run, folder, running, watch)
 
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats, Integers, Value, cross, dihedral, dihedral_slopes
 from protochain.core.graph import neighbours
+from protochain.core.processors import one_blas_thread
 from protochain.core.units import COULOMB
 
 _MOST = 20000
@@ -156,7 +156,7 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
         return (energy, _UNIT * gradient[moving].ravel()) if np.isfinite(energy) else (1e300, 0.0 * scaled)
 
     # An end by the change of the energy would depend on round-off, so only the gradient ends it.
-    with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
+    with np.errstate(all="ignore"), one_blas_thread():
         result = minimize(
             value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
             options={"gtol": _UNIT * _TOLERANCE, "ftol": 0, "maxiter": _MOST, "maxfun": _MOST, "maxcor": 20},

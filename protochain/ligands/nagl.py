@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import expit
-from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats
 from protochain.core.graph import both_ways
 from protochain.core.optional_libraries import library
+from protochain.core.processors import one_blas_thread
 from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly
 
 _MODEL = Path(__file__).with_name("openff-gnn-am1bcc-1.0.0.npz")
@@ -125,7 +125,7 @@ def _predict(molecule: Molecule, features: Floats) -> Floats:
     i, j = both_ways(molecule.bonds).T
     mean = csr_array((1.0 / np.bincount(i, minlength=n)[i], (i, j)), shape=(n, n))
     h = features
-    with threadpool_limits(1, "blas"):  # Threads wait longer for each other than they compute.
+    with one_blas_thread():  # Threads wait longer for each other than they compute.
         for k in range(6):
             h = np.maximum(h @ w[f"self{k}"].T + mean @ h @ w[f"near{k}"].T + w[f"bias{k}"], 0.0)
         h = expit(h @ w["dense0"].T + w["dense_bias0"])

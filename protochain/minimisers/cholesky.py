@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import spilu
 
 from protochain.core.arrays import Floats, Integers
 from protochain.mechanics.multibody.algebra import kernel
@@ -23,8 +23,9 @@ def elimination_order(n: int, pairs: Integers) -> Integers:
     values = np.r_[np.full(2 * len(i), -1.0), np.full(n, 2.0 * len(i) + 1.0)]
     rows, columns = np.r_[i, j, np.arange(n)], np.r_[j, i, np.arange(n)]
     graph = coo_array((values, (rows, columns)), shape=(n, n)).tocsc()
-    symmetric = {"SymmetricMode": True}
-    factors = splu(graph, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    # An incomplete factor is found sooner, in the same order.
+    settings = {"SymmetricMode": True}
+    factors = spilu(graph, 1.0, 1.0, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=settings)
     return np.asarray(factors.perm_c, dtype=np.int64)
 
 

@@ -11,7 +11,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from protochain.chains.articulate import run_identity, with_energy
 from protochain.chains.chain import Pose, pose
@@ -23,6 +22,7 @@ from protochain.core.checks import WATCHER, check_arguments
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import abridge
+from protochain.core.processors import one_blas_thread
 from protochain.core.settings import document_settings, settings_from
 from protochain.core.timings import measure_run, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
@@ -33,7 +33,7 @@ from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, with_curvature
-from protochain.minimisers.solution import Recorder, Solution, trace_of
+from protochain.minimisers.solution import Recorder, Solution, frames_of, trace_of
 from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
@@ -177,8 +177,7 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)
     start = start.of(run.recipe, run.judge)
-    # BLAS on one thread: sums must not depend on the machine, and threads must not compete with the energy.
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         with open_to_interrupts():
             start.warm(run.recipe)
         record = Recorder(start.chain.structure, _frame(start, run), watch)
@@ -275,6 +274,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
     x = at.x if at is start.pose else record.frame(at.x)
     # Built on first access, without a reference to the watcher.
     trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)
+    frames: Any = partial(frames_of, record.frame, [*record.recorded_frames().values()])
     return Solution(
         recipe=run.recipe,
         chain=chain,
@@ -302,7 +302,7 @@ def _judge(start: Start, run: Minimisation, outcome: Outcome, record: Recorder, 
         timings=until_now(),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.recorded_frames()), np.int64),
-        frames=read_only(list(record.recorded_frames().values()), np.float32),
+        frames=frames,
     )
 
 

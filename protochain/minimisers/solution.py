@@ -2,7 +2,7 @@
 
 import warnings
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from protochain.chains.chain import Chain
 from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
-from protochain.core.arrays import Floats, Integers, Value, Watcher
+from protochain.core.arrays import Floats, Integers, Value, Watcher, read_only
 from protochain.core.errors import StrayWarning
 from protochain.core.lazy_pandas import pd
 from protochain.core.markup import facts
@@ -57,13 +57,13 @@ def alpha_residues(structure: Structure) -> "pd.DataFrame":
 
 @dataclass
 class Recorder:
-    """Collect a trace row at each iteration. RMSDs are computed after the clock has stopped."""
+    """Collect a trace row at each iteration. RMSDs and superpositions are computed when they are read."""
 
     structure: Structure
     frame: Frame
     watch: Watcher | None = None
     rows: list[dict[str, float]] = field(default_factory=list)
-    frames: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    frames: dict[int, Floats] = field(default_factory=dict)
     interval: int = 1
     last: Floats | None = None
     alphas: list[Floats] = field(default_factory=list)
@@ -104,16 +104,19 @@ class Recorder:
         """Store the positions of every n-th row, fewer as the run grows longer, and of the last row."""
         self.last = x
         if row % self.interval == 0:
-            self.frames[row] = self.frame(x).astype(np.float32)
+            self.frames[row] = x
         if len(self.frames) > N_FRAMES:
             self.interval *= 2
             self.frames = {k: positions for k, positions in self.frames.items() if k % self.interval == 0}
 
-    def recorded_frames(self) -> dict[int, NDArray[np.float32]]:
-        """Positions by their row of the trace, including the last."""
-        if self.last is None:
-            return self.frames
-        return self.frames | {len(self.rows) - 1: self.frame(self.last).astype(np.float32)}
+    def recorded_frames(self) -> dict[int, Floats]:
+        """Positions by their row of the trace, including the last, as the run went."""
+        return self.frames if self.last is None else self.frames | {len(self.rows) - 1: self.last}
+
+
+def frames_of(frame: Frame, frames: Iterable[Floats]) -> NDArray[np.float32]:
+    """Positions (n, na, 3) in the frame of results."""
+    return read_only([frame(x) for x in frames], np.float32)
 
 
 def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Floats]) -> "pd.DataFrame":
@@ -130,12 +133,17 @@ def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Fl
 class _LazyField:
     """Field whose value may be a function, which is called on first access."""
 
+    def __init__(self, default: Callable[[], Any] | None = None) -> None:
+        self.default = default
+
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        if instance is None:
+        if instance is None and self.default is None:
             raise AttributeError(self.name)  # For the dataclass: a field without default.
+        if instance is None:
+            return self.default
         value = vars(instance)[self.name]
         if callable(value):
             value = vars(instance)[self.name] = value()
@@ -262,9 +270,12 @@ class Solution(RunEnds):
     lowest_eigenvalue: float | None = None
     # (n,) int: Rows of the trace of ``frames``: equidistant from the first row, and the last row.
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # (n, na, 3) float32, nm: Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution,
-    # solution.frames)``.
-    frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))
+    if TYPE_CHECKING:
+        # (n, na, 3) float32, nm: Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution,
+        # solution.frames)``.
+        frames: NDArray[np.float32] = np.empty((0, 0, 3), dtype=np.float32)
+    else:
+        frames: Any = _LazyField(lambda: np.empty((0, 0, 3), dtype=np.float32))
 
     @property
     def structure(self) -> Structure:
@@ -348,9 +359,12 @@ class Solution(RunEnds):
             (self.ca_rmsd_angstrom, self.ca_rmsd_as_filed_angstrom),
         )  # fmt: skip
 
-    def record(self) -> dict[str, Any]:
-        """Flat record for JSON, CSV and pages, with None for values that are not finite."""
-        return record(COLUMNS, self)
+    def record(self, terms: bool = True) -> dict[str, Any]:
+        """Flat record for JSON, CSV and pages, with None for values that are not finite.
+
+        Without ``terms`` it lacks the energies of single terms, which take longest.
+        """
+        return record(COLUMNS, self, terms)
 
     def ends(self) -> dict[str, Structure]:
         """Structures of start and end, under the keys ``start`` and the method."""

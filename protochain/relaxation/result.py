@@ -197,9 +197,12 @@ class Relaxation(RunEnds):
             (self.ca_rmsd_angstrom, self.frame.ca_rmsds(self.x)[1]), lines,
         )  # fmt: skip
 
-    def record(self) -> dict[str, Any]:
-        """Flat record behind JSON and tables, with the keys of a solution, and None for missing numbers."""
-        return record((*COLUMNS, *(INTERFACE_COLUMNS if self.settings.interface else ())), self)
+    def record(self, terms: bool = True) -> dict[str, Any]:
+        """Flat record behind JSON and tables, with the keys of a solution, and None for missing numbers.
+
+        Without ``terms`` it lacks the energies of single terms, which take longest.
+        """
+        return record((*COLUMNS, *(INTERFACE_COLUMNS if self.settings.interface else ())), self, terms)
 
     def ends(self) -> dict[str, Structure]:
         """Start and end, with keys ``input`` and ``relaxed``."""

@@ -47,6 +47,7 @@ class Column:
     short: str = ""  # Heading if all columns must fit into 80 characters.
     width: int = 8  # Characters of a number there.
     kind: Kind = None  # Kind of values, for schemas and for reading tables, by default from the key.
+    is_term: bool = False  # Whether it is a term of the energy, which takes a sum over single pairs.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or kind_of(self.key))
@@ -81,9 +82,10 @@ def heading(name: str) -> str:
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
-def record(columns: Iterable[Column], result: Any) -> dict[str, Any]:
-    """Flat record of a result, with None for values that are not finite."""
-    return {column.key: _finite(column.value(result)) for column in columns}
+def record(columns: Iterable[Column], result: Any, terms: bool = True) -> dict[str, Any]:
+    """Flat record of a result, with None for values that are not finite, on request without energy terms."""
+    shown = columns if terms else [column for column in columns if not column.is_term]
+    return {column.key: _finite(column.value(result)) for column in shown}
 
 
 def largest(values: Any) -> float | None:
@@ -134,7 +136,7 @@ def of_terms(names: Iterable[str]) -> Iterator[Column]:
     """Columns of the terms of the energy, and of the separate restraints, None if unknown."""
     for name in names:
         for when in ("start", "end"):
-            yield Column(f"energy_{name}_{when}_kj_mol", partial(_term, name, when))
+            yield Column(f"energy_{name}_{when}_kj_mol", partial(_term, name, when), is_term=True)
     for k, when in enumerate(("start", "end")):
         yield Column(f"energy_restraints_{when}_kj_mol", partial(_restraints, k))
 

@@ -11,13 +11,13 @@ from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from protochain.batches.cluster import load_shared
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import Argument
 from protochain.core.interrupts import held_interrupts
+from protochain.core.processors import one_blas_thread
 from protochain.searching.landscape import Landscape
 
 SECONDS = 5.0
@@ -79,7 +79,7 @@ def advance(
     """Run steps until the time or the evaluations of the walker are spent, at least one for long steps."""
     # A step that is interrupted does not count: the state before it is returned.
     began, findings = perf_counter(), list[Finding]()
-    with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
+    with one_blas_thread(), held_interrupts() as interrupts:
         while state is None or (
             state.n_evaluations < budget and not (findings and perf_counter() - began >= seconds)
         ):

@@ -160,5 +160,5 @@ def test_the_command_scans(tmp_path, monkeypatch, capsys):
 
 
 def test_names_of_hinges_are_their_own():
-    names = [hinge.name for hinge in find_hinges(load("3i40.pdb"), ["phi", "psi", "omega", "chi"])]
+    names = [hinge.name for hinge in find_hinges(load("3i40.pdb"), ("phi", "psi", "omega", "chi"))]
     assert len(names) == len({*names})

@@ -38,6 +38,19 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.parametrize("command", ["minimise", "relax"])
+def test_single_terms_are_computed_only_if_they_are_shown(command, here, monkeypatch, capsys):
+    def refuse(*arguments):
+        raise AssertionError
+
+    monkeypatch.setattr("protochain.minimisers.solution.terms_at", refuse)
+    words = command, STRUCTURES / "ala10.pdb", "-o", here / "end.pdb", "--force"
+    assert run(*words) == 0
+    for shown in (["--json"], ["--report", here / "end.html"]):
+        with pytest.raises(AssertionError):
+            run(*words, *shown)
+
+
 def test_a_ranked_model_is_named_as_colabfold_names_it_and_said_before_and_after(here, capsys):
     damaged = models.with_random_side_chains(load("1l2y.pdb"), seed=2)
     name = "x_unrelaxed_rank_001_alphafold2_ptm_model_1_seed_000.pdb"

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from fixtures.repairs import sentences
 from fixtures.samples import chain
+from fixtures.tolerances import SINGLE_NM
 from scipy.spatial.transform import Rotation
 
 from protochain.chains.frame import Frame
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.restraints import Hold
-from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution, trace_of
+from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution, frames_of, trace_of
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.results.columns import flat
 
@@ -128,9 +129,8 @@ def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
         recorder = Recorder(s, Frame(s, held_by), lambda row, x, seen=seen: seen.append(x))
         for x in (turned, none, turned):
             recorder(x, 0.0, {}, 1)
-        for x, kept in zip(
-            seen[::2], (recorder.recorded_frames()[0], recorder.recorded_frames()[2]), strict=True
-        ):
+        frames = frames_of(recorder.frame, recorder.recorded_frames().values())
+        for x, kept in zip(seen[::2], frames[::2], strict=True):
             assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
         assert seen[1] is none and list(recorder.recorded_frames()) == [0, 1, 2]
         assert traced(recorder)["ca_rmsd_angstrom"].tolist() == pytest.approx(
@@ -165,3 +165,21 @@ def test_a_trace_is_made_once_when_it_is_first_read():
     assert not made
     assert solution.trace == [7] and solution.trace is solution.trace and made == [1]
     assert Solution.__dataclass_fields__["trace"].default is MISSING
+
+
+def test_frames_are_superposed_when_they_are_read():
+    structure = chain("ala10.pdb").structure
+    fits = []
+
+    class Fit(Frame):
+        def __call__(self, x):
+            fits.append(x)
+            return super().__call__(x)
+
+    recorder = Recorder(structure, Fit(structure))
+    for shift in (0.0, 1.0):
+        recorder(structure.positions + shift, 0.0, {}, 1)
+    assert not fits
+    frames = frames_of(recorder.frame, recorder.recorded_frames().values())
+    assert len(fits) == 2 and frames.dtype == np.float32
+    assert np.allclose(frames, structure.positions, atol=SINGLE_NM)

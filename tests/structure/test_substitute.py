@@ -21,7 +21,7 @@ def inverted(structure):
 
 
 def chi1(structure):
-    atoms = [hinge.atoms for hinge in find_hinges(structure, ["chi"]) if hinge.kind == "chi1"]
+    atoms = [hinge.atoms for hinge in find_hinges(structure, ("chi",)) if hinge.kind == "chi1"]
     return np.degrees(dihedral(*structure.positions[np.transpose(atoms)]))
 
 

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from itertools import combinations, pairwise
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 from openmm import app
 from openmm.app import forcefield as generators
 from openmm.app.internal.customgbforces import GBSAOBC2Force
@@ -64,7 +66,6 @@ def template_terms(
         atoms=atoms, atomType=dict(zip(atoms, assigned.types, strict=True)), propers=[], impropers=[],
         atomTemplateIndexes=dict(zip(atoms, assigned.places, strict=True)),
     )  # fmt: skip
-    types = np.unique(assigned.types, return_inverse=True)[1].reshape(-1)
     angles, propers = _angles(start, partners), _propers(start, partners)
 
     def run(name: str, **terms: Any) -> list[list[Any]]:
@@ -77,23 +78,24 @@ def template_terms(
         force = system.getForce(0)
         return READERS[type(force).__name__][1](force)
 
-    tables = {
-        "bonds": _copy_parameters(
-            structure.bonds, types,
-            lambda rows: run("HarmonicBond", bonds=[app.ForceField._BondData(*row) for row in rows]),
-        ),
-        "angles": _copy_parameters(
-            angles, types,
-            lambda rows: run("HarmonicAngle", angles=rows, isAngleConstrained=[False] * len(rows)),
-        ),
-        "torsions": np.concatenate([
-            _copy_parameters(propers, types, lambda rows: run("PeriodicTorsion", propers=rows), True),
-            _copy_parameters(
-                _impropers(start, partners), types,
-                lambda rows: run("PeriodicTorsion", propers=[], impropers=rows),
-            ),
-        ]),
-    }  # fmt: skip
+    names, known = np.array(assigned.types), _KNOWN.setdefault(force_field, {})
+    bonds = _copy_parameters(
+        structure.bonds, names, known,
+        lambda rows: run("HarmonicBond", bonds=[app.ForceField._BondData(*row) for row in rows]),
+    )  # fmt: skip
+    bends = _copy_parameters(
+        angles, names, known,
+        lambda rows: run("HarmonicAngle", angles=rows, isAngleConstrained=[False] * len(rows)),
+    )  # fmt: skip
+    turns = _copy_parameters(
+        propers, names, known, lambda rows: run("PeriodicTorsion", propers=rows), is_symmetric=True
+    )
+    # The order of the atoms of an improper depends on the residues of the first in the structure.
+    more = _copy_parameters(
+        _impropers(start, partners), names, {},
+        lambda rows: run("PeriodicTorsion", propers=[], impropers=rows),
+    )  # fmt: skip
+    tables = {"bonds": bonds, "angles": bends, "torsions": np.concatenate([turns, more])}
     subsets = {}
     for kind, (n_atoms, n_parameters) in SHAPES.items():
         table = tables.get(kind, np.empty((0, n_atoms + n_parameters)))
@@ -156,33 +158,48 @@ def _impropers(start: Integers, partners: Integers) -> Integers:
     return rows[np.argsort(rows[:, 0], kind="stable")]
 
 
+_Built = list[tuple[list[int], list[float]]]
+"""Terms of a combination of atom types: order of the atoms, and parameters."""
+_KNOWN: WeakKeyDictionary[app.ForceField, dict[Any, Any]] = WeakKeyDictionary()
+"""What a force field has built: terms by the types of their atoms in order, and atoms of residues."""
+
+
 def _copy_parameters(
     rows: Integers,
-    types: Integers,
+    names: NDArray[np.str_],
+    known: dict[tuple[str, ...], _Built],
     build: Callable[[list[tuple[int, ...]]], list[list[Any]]],
     is_symmetric: bool = False,
 ) -> Floats:
     """Atoms and parameters of all terms. ``build`` makes the first of each combination of types."""
-    digits = int(types.max(initial=0)) + 1
-    powers = digits ** np.arange(rows.shape[1])
+    types = np.unique(names, return_inverse=True)[1].reshape(-1)
+    n = rows.shape[1]
+    powers = (int(types.max(initial=0)) + 1) ** np.arange(n)
     keys = types[rows] @ powers
     if is_symmetric:
         keys = np.minimum(keys, types[rows[:, ::-1]] @ powers)
     _, first, kind = np.unique(keys, return_index=True, return_inverse=True)
-    examples = [*map(tuple, rows[first].tolist())]
-    place = {frozenset(example): i for i, example in enumerate(examples)}
-    built: list[list[tuple[list[int], list[float]]]] = [[] for _ in examples]
-    for row in build(examples):
-        atoms, i = row[: rows.shape[1]], place[frozenset(row[: rows.shape[1]])]
-        built[i].append(([examples[i].index(atom) for atom in atoms], row[rows.shape[1] :]))
+    examples = [*map(tuple, names[rows[first]].tolist())]
+    new = {
+        example: tuple(row)
+        for example, row in zip(examples, rows[first].tolist(), strict=True)
+        if example not in known
+    }
+    places = {frozenset(row): example for example, row in new.items()}
+    fresh: dict[tuple[str, ...], _Built] = {example: [] for example in new}
+    for row in build([*new.values()]) if new else []:
+        example = places[frozenset(row[:n])]
+        fresh[example].append(([new[example].index(atom) for atom in row[:n]], row[n:]))
+    known.update(fresh)
+    built = [known[example] for example in examples]
     copies = np.array([len(terms) for terms in built], dtype=np.int64)
     order = np.array([atoms for terms in built for atoms, _ in terms], dtype=np.int64)
     parameters = np.array([values for terms in built for _, values in terms], dtype=float)
     # The terms of each row, from those of its example.
-    row, term = _partners_of(kind.reshape(-1), np.append(0, np.cumsum(copies)), np.arange(copies.sum()))
+    at, term = _partners_of(kind.reshape(-1), np.append(0, np.cumsum(copies)), np.arange(copies.sum()))
     if not len(term):
-        return np.empty((0, rows.shape[1]))
-    return np.column_stack([np.take_along_axis(rows[row], order[term], axis=1), parameters[term]])
+        return np.empty((0, n))
+    return np.column_stack([np.take_along_axis(rows[at], order[term], axis=1), parameters[term]])
 
 
 def _assign(
@@ -190,16 +207,17 @@ def _assign(
 ) -> _Assigned | None:
     """Assign parameters to each atom, or None if a residue has no template, or one with more than atoms."""
     owner = structure.atom_residue.tolist()
-    examples: dict[Any, list[tuple[Any, ...]]] = {}
+    known = _KNOWN.setdefault(force_field, {})
     rows: list[tuple[Any, ...]] = []
     for residue in structure.topology.residues():
         atoms = [*residue.atoms()]
         first, index = atoms[0].index, residue.index
-        key = tuple(
+        kinds_of_atoms = (
             (atom.name, atom.element, *(b - first if owner[b] == index else None for b in bonded[atom.index]))
             for atom in atoms
         )
-        if key not in examples:
+        key = (is_in_solvent, *kinds_of_atoms)
+        if key not in known:
             template, places = force_field._getResidueTemplateMatches(residue, bonded)
             if places is None or template.constraints or template.virtualSites:
                 return None
@@ -207,8 +225,8 @@ def _assign(
             inside = [(a, atoms[b - first]) for a in atoms for b in bonded[a.index] if owner[b] == index]
             radii = _radii(atoms, inside) if is_in_solvent else np.zeros((len(atoms), 2))
             particles = _particles(force_field, atoms, kinds)
-            examples[key] = [*zip((kind.type for kind in kinds), places, particles, radii, strict=True)]
-        rows += examples[key]
+            known[key] = [*zip((kind.type for kind in kinds), places, particles, radii, strict=True)]
+        rows += known[key]
     types, indices, charges, sizes = zip(*rows, strict=True)
     return _Assigned([*types], [*indices], np.array(charges), np.array(sizes))
 
