@@ -1,6 +1,7 @@
 """One component of the Chemical Component Dictionary against biotite's own reading of all of them."""
 
 import warnings
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ def test_a_component_is_that_of_biotite(name):
 @pytest.mark.parametrize("name", ["", "NO SUCH", pytest.param("3UQ", id="without coordinates")])
 def test_what_is_not_there_is_not_found(name):
     """And its error keeps nothing of the dictionary in memory."""
+    if name == "3UQ" and not version("biotite").startswith("1."):
+        pytest.skip("the dictionary of biotite 2 has coordinates of 3UQ")
     with pytest.raises(KeyError) as refused:
         dictionary.component(name)
     assert refused.traceback[-1].locals.keys() == {"name", "atoms"}
