@@ -1,11 +1,13 @@
 """Exit statuses: 1 without a result, 2 for bad input, 3 not converged, 4 some refused, 130 stopped."""
 
+import importlib
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+import typer
 from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES
 
@@ -14,6 +16,7 @@ from protochain.batches import mutation_scan
 from protochain.batches.cluster import Processes
 from protochain.cli import mutate, score
 from protochain.cli.options import exit_status
+from protochain.cli.rows import conclude, table_of
 from protochain.comparison.docking import DOCKING
 from protochain.relaxation.mutations import COLUMNS
 from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
@@ -111,3 +114,31 @@ def test_standard_input_is_scored_by_this_process(files, alone, monkeypatch):
     assert (seen[0] is None) is alone
     if alone:
         assert "workers" in refusal("score", *files, "--workers", "2")
+
+
+@pytest.mark.parametrize(("interrupted", "status"), [(False, 0), (True, 130)])
+def test_a_search_that_is_interrupted_says_so(interrupted, status, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "protochain.searching.search", lambda *_, **more: SimpleNamespace(interrupted=interrupted)
+    )
+    monkeypatch.setattr(importlib.import_module("protochain.cli.search"), "print_search", lambda *_: None)
+    assert run("search", "GAG") == status
+    assert ("--resume" in capsys.readouterr().err) is interrupted
+
+
+@pytest.mark.parametrize(
+    ("messages", "is_sound", "status"),
+    [([""], True, 0), ([""], False, 3), (["", "no"], True, 4), (["", "no"], False, 4), (["no"], True, 2)],
+)
+def test_rows_of_a_command_end_by_those_without_a_result(messages, is_sound, status, tmp_path, capsys):
+    rows = [{"file": f"{k}.pdb", "message": message} for k, message in enumerate(messages)]
+    shown, table = [], tmp_path / "t.csv"
+    with pytest.raises(typer.Exit) as ended:
+        conclude(rows, {table: lambda: table_of(rows), None: None}, shown.extend, False, is_sound=is_sound)
+    assert ended.value.exit_code == status
+    # The table has all rows, and the terminal those with a result.
+    assert len(pd.read_csv(table)) == len(rows)
+    assert [row["message"] for row in shown] == [""] * messages.count("") and str(
+        table
+    ) in capsys.readouterr().out
