@@ -6,6 +6,7 @@ from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM, GEOMETRY_RAD, RIGID_MOT
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
+from protochain.chains.articulate import transfer_coordinates, with_free_root
 from protochain.core.arrays import dihedral
 from protochain.mechanics.multibody import HingeKind, integrate
 from protochain.minimisers.problem import evaluate
@@ -25,6 +26,16 @@ def turned(c, seed=0, size=1.0):
 def test_q0_is_the_input_pose(name, hinges):
     c = chain(name, hinges)
     assert np.allclose(pc.pose(c, c.q0).x, load(name).positions, rtol=0, atol=ROUND_OFF_NM)
+
+
+def test_coordinates_of_a_chain_with_a_free_root_are_of_the_same_positions():
+    """Of two chains, so that the coordinates of hinges have other indices."""
+    c = pc.build_chain(load("3i40.pdb"), root="fixed", hydrogen_mass=2.0)
+    free = pc.build_chain(c, root="free")
+    assert free.n_q == c.n_q + 14 and free.hydrogen_mass == with_free_root(c).hydrogen_mass == 2.0
+    q = turned(c, size=0.2)
+    x = pc.pose(free, transfer_coordinates(c, free, q)).x
+    assert np.allclose(x, pc.pose(c, q).x, rtol=0, atol=ROUND_OFF_NM)
 
 
 @pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])

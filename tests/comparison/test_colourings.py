@@ -1,5 +1,7 @@
 """What colours the residues of a page."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fixtures.samples import energy, load
@@ -7,7 +9,7 @@ from fixtures.samples import energy, load
 import protochain as pc
 from protochain.comparison.colourings import colourings
 from protochain.energies.custom import CustomEnergy
-from protochain.results.viewer import DISPLACEMENT, Colouring, scene
+from protochain.results.viewer import DISPLACEMENT, Colouring, pockets, scene
 
 
 def test_energies_are_the_shares_of_residues_and_their_change():
@@ -53,3 +55,22 @@ def test_displacements_are_of_all_ends_on_one_scale():
     assert made["chosen"] == 0 and made["colourings"][0]["values"] is None
     assert 0.1 <= made["colourings"][0]["high"] <= 2.0
     assert made["residues"] == [f"A:{k}" for k in range(1, 11)]
+
+
+def test_a_pocket_has_the_residues_near_its_ligand_at_any_end_and_the_bonds_between_both():
+    """Not bonds within the ligand or within the protein, whichever end is the donor."""
+    x = np.array([[0.0, 0, 0], [0.3, 0, 0], [3.0, 0, 0], [0.1, 0.3, 0], [0.2, 0.3, 0], [9.0, 0, 0]])
+    later = x + np.array([0, 0, 0, 1, 1, 0])[:, None] * [2.7, 0.0, 0.0]
+    s = SimpleNamespace(
+        atom_residue=np.array([0, 1, 2, 3, 3, 4]), atom_name=np.array([*"NOSABN"]),
+        residue_chain=np.array([*"AAABA"]), residue_number=np.array([*"57917"]),
+        ligands=(SimpleNamespace(atoms=np.array([3, 4])),), residue="B:LIG{}".format,
+    )  # fmt: skip
+    bonds = np.array([[3, 4], [0, 3], [4, 1], [0, 1], [5, 2]])
+    (one,) = pockets(s, bonds, x)
+    (both,) = pockets(s, bonds, x, later)
+    assert one["ligand"] == [{"chain": "B", "resi": 1}] and one["name"] == "B:LIG3"
+    assert [place["resi"] for place in one["near"]] == [5, 7]
+    assert [place["resi"] for place in both["near"]] == [5, 7, 9]
+    ends = [[(end["resi"], end["atom"]) for end in bond] for bond in one["bonds"]]
+    assert ends == [[(5, "N"), (1, "A")], [(1, "B"), (7, "O")]]

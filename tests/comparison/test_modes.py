@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.samples import load, shared
+from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import HESSIAN, MODES, ROUND_OFF
 from scipy.linalg import eigh
 from scipy.spatial import cKDTree
@@ -215,6 +215,16 @@ def test_only_b_factors_of_a_crystal_are_compared():
         in_file, is_b = r.fluctuations()["ca_b_factor_in_file_angstrom2"], quantity == "B factor"
         assert s.b_factor_quantity == quantity and in_file.notna().all() == in_file.notna().any() == is_b
         assert (r.b_factor_correlation is not None) == is_b
+
+
+def test_b_factors_are_of_the_residue_also_behind_a_cap():
+    s = pc.load(STRUCTURES / "ala10.pdb", cap="all")
+    r = pc.normal_modes(pc.build_chain(s, "phi psi"), Net(s), k=12)
+    table, squares = r.fluctuations(), r.mean_squares()
+    assert s.residue_name[0] == "ACE" and table["residue"].astype(int).tolist() == [*range(1, 11)]
+    for k, value in enumerate(table["b_factor_angstrom2"], 1):
+        heavy = (s.atom_residue == k) & (s.atom_element != "H")
+        assert value == pytest.approx(8 * np.pi**2 / 3 * squares[heavy].mean())
 
 
 def test_fluctuations_and_entropy_are_those_of_the_gaussian():

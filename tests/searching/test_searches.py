@@ -128,6 +128,14 @@ def test_minima_are_minima_with_their_energies(peptide, whole):
     assert energy(structure.positions)[0] == pytest.approx(whole["hopping"].energies[1], abs=1e-6)
 
 
+def test_rows_of_minima_name_the_descents_that_found_them(whole):
+    for found in whole.values():
+        assert found.minima["walker"].nunique() == 2 and found.minima["minimum"].iloc[0] == 1
+        for row in found.minima.itertuples():
+            descents = found.findings[row.walker].minima
+            assert [row.evaluations_of_walker, row.energy_kj_mol] in descents[:, :2].tolist()
+
+
 @pytest.mark.parametrize("method", ["hopping", "tempering"])
 def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(method, peptide, tmp_path):
     line = "dihedral phi@A:2 50 70 4000"
