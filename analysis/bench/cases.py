@@ -23,7 +23,7 @@ from bench.provenance import made
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.storage import json_text
-from protochain.results.figures import Figure
+from protochain.results.figures import Figure, outside
 from protochain.results.tables import save
 
 Kind = Literal["relative", "absolute", ""]
@@ -275,9 +275,10 @@ class Scene:
 
 def plot_work(scene: Scene) -> Figure:
     """Draw error against seconds, a line for each method."""
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    figure = Figure(figsize=(6, 3.6), layout="constrained")
     ax = figure.subplots()
     draw_lines(ax, scene.work, "seconds", least=1e-17)
+    outside([ax])
     ax.set(xlabel="processor seconds", ylabel=scene.error_of, title=scene.title)
     return figure
 

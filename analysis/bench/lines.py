@@ -13,7 +13,7 @@ __all__ = ["draw_lines"]
 def draw_lines(
     ax: Axes, points: pd.DataFrame, x: str, y: str = "error", by: str = "method", least: float = 0.0
 ) -> None:
-    """Draw a line with marks for each method, both axes logarithmic.
+    """Draw a line with marks for each method, both axes logarithmic, without a legend.
 
     Parameters
     ----------
@@ -32,6 +32,4 @@ def draw_lines(
         look = styles[str(method)].line(str(method)) | {"markevery": None}
         ax.plot(shown[x], shown[y].clip(lower=least), **look)
     ax.set(xscale="log", yscale="log", xlabel=x)
-    if len(points):
-        ax.legend(frameon=False, fontsize=8)
     plain(ax)

@@ -136,6 +136,11 @@ OF_CRYSTALS = (
 )  # fmt: skip
 CURVES = "solvers,energies,integrators,sampling,closures,fixman,hessians"
 HERE = "python analysis/benchmarks"
+FIGURES = (
+    "comparison", "dynamics-energy", "engines-accuracy", "integrators", "kcm", "kcm-paths", "limit-cycle",
+    "near", "omissions", "stability",
+)  # fmt: skip
+"""Names of figures.py, which reads tables of other jobs."""
 COMPARED = "kcm,md,lbfgs,hybrid,cartesian,openmm"
 NOTEBOOKS, SCENES = (
     sorted(path.stem for path in (ROOT / "analysis" / kind).glob("*.ipynb"))
@@ -150,10 +155,7 @@ KCM_TABLES = ("contrasts", "proteins", "cost", "deposited", "bodies", "choices",
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
-    Job(
-        "engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 8, threads=1,
-        writes="engines_accuracy engines_accuracy.png",
-    ),
+    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 8, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("device", f"{HERE}/device.py -o DIR", 3),
     Job("large", f"{HERE}/large.py -o DIR", 5, writes="large large_exponents"),
@@ -177,7 +179,7 @@ JOBS = (
     Job("race-parts", f"{HERE}/parts.py -o DIR", 1, writes="minimise_parts"),
     Job(
         "near", f"{HERE}/near.py {HELD_OUT_FILES} --kept KEPT -o DIR", 40,
-        threads=1, writes="near near_ends near.png", continues=True,
+        threads=1, writes="near near_ends", continues=True,
     ),
     Job(
         "basins", f"{HERE}/near.py --basins {DESCENDED} -o DIR", 6,
@@ -191,10 +193,7 @@ JOBS = (
     ),
     Job(
         "curves", f"python analysis/bench precision --only {CURVES} -o DIR", 5,
-        collects={
-            "curves.csv": ("precision_curves.csv", ()), "integrators.png": ("integrators.png", ()),
-        },
-        threads=1,
+        collects={"curves.csv": ("precision_curves.csv", ())}, threads=1,
     ),
     Job("ends", f"{HERE}/ends.py {ENDED} --kept KEPT -o DIR", 8, threads=1, continues=True),
     Job(
@@ -206,7 +205,7 @@ JOBS = (
     ),
     Job(
         "compliance", f"{HERE}/compliance.py -o DIR", 4,
-        writes="compliance_angles compliance_evaluations compliance_starts limit-cycle.png",
+        writes="compliance_angles compliance_evaluations compliance_starts",
     ),
     Job(
         "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 2 -o DIR --jobs 2 --minutes 20", 25,
@@ -225,8 +224,7 @@ JOBS = (
     Job(
         "kcm", f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
         f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0",
-        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in KCM_TABLES}
-        | {name: (name, ()) for name in ("kcm.png", "kcm-paths.png")},
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in KCM_TABLES},
         after="runs-kcm",
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 2 --repeats 2 -o DIR", 8),
@@ -258,10 +256,7 @@ JOBS = (
         "interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 7,
         writes="interfaces_columns interfaces_cost interfaces_moved",
     ),
-    Job(
-        "dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4,
-        writes="dynamics_energy dynamics_energy.png",
-    ),
+    Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
     Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 5),
@@ -270,21 +265,22 @@ JOBS = (
     Job(
         "omissions", "python analysis/bench omissions structures/1hel.pdb -o DIR", 5,
         "python analysis/bench omissions structures/1l2y.pdb --quick -o DIR",
-        {"omissions.csv": ("scenes.csv", ()), "omissions.png": ("scenes.png", ())},
+        {"omissions.csv": ("scenes.csv", ())},
     ),
     Job(
         "stability", "python analysis/bench stability -o DIR", 8,
         "python analysis/bench stability --quick -o DIR",
-        {
-            "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
-            "grid.png": ("stability.png", ()),
-        },
+        {"error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ())},
     ),
     Job(
         "comparison",
-        f"protochain compare structures/1ubq.pdb --methods {COMPARED} --figure DIR/compared.png -o DIR",
-        1, "protochain compare structures/ala10.pdb --methods lbfgs --figure DIR/compared.png -o DIR",
-        {"compared.png": ("comparison.png", ())},
+        f"protochain compare structures/1ubq.pdb --methods {COMPARED} -o DIR", 1,
+        "protochain compare structures/ala10.pdb --methods lbfgs,cartesian -o DIR",
+        {"traces.csv": ("comparison.csv", ("method", "evaluations", "seconds", "energy_kj_mol"))},
+    ),
+    Job(
+        "figures", f"{HERE}/figures.py -o DIR", 1, f"{HERE}/figures.py -o DIR",
+        writes=" ".join(f"{name}.svg" for name in FIGURES),
     ),
     Job(
         "relaxation", f"{HERE}/pocket.py structures/6bj9_model_0.cif.gz -o DIR", 1,

@@ -11,10 +11,8 @@
 """
 
 import argparse
-from pathlib import Path
 
 import made
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from made import SAMPLES
@@ -98,23 +96,6 @@ def enkephalin(options: argparse.Namespace) -> pd.DataFrame:
                 }
             )  # fmt: skip
     return pd.DataFrame(rows)
-
-
-def draw(table: pd.DataFrame, output: Path) -> None:
-    """Draw where the fixed step ends, beside the others."""
-    figure, axis = plt.subplots(figsize=(6, 4))
-    fixed = [table[table.setting == f"kcm, {step:g} rad"].torque_end_kj_mol_rad for step in STEPS]
-    axis.errorbar(
-        STEPS, [ends.median() for ends in fixed], fmt="o-", label="fixed step",
-        yerr=np.array([[e.median() - e.quantile(0.25), e.quantile(0.75) - e.median()] for e in fixed]).T,
-    )  # fmt: skip
-    for style, name in zip(("--", ":", "-."), ("kcm-decaying", "kcm-adaptive", "kcm-stiffness"), strict=True):
-        end = table[table.setting == name].torque_end_kj_mol_rad.median()
-        axis.axhline(max(end, 1e-4), linestyle=style, color="grey", label=name)
-    axis.set(xscale="log", yscale="log", xlabel="step, rad", ylabel="largest torque at the end, kJ/mol/rad")
-    axis.legend()
-    figure.tight_layout()
-    made.draw(figure, output / "limit-cycle.png")
 
 
 def dense_hessian(problem: Problem, at) -> np.ndarray:
@@ -203,11 +184,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     options = parser().parse_args()
     samples = [f"{each}.pdb" for each in NAMES]
-    found = made.study(
-        options, STUDIES, "compliance", lambda n, _: samples if n == "evaluations" else ["YGGFM"]
-    )
-    if options.output and "starts" in found:
-        draw(found["starts"], options.output)
+    made.study(options, STUDIES, "compliance", lambda n, _: samples if n == "evaluations" else ["YGGFM"])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python analysis/benchmarks/dynamics.py [STUDY ...] [-o DIR] [--quick] [--more FOLDER]
 
 STUDY is any of energy, steps, cost, speed (all by default). Each prints a table; with -o they are
-written, as dynamics_STUDY.csv, and drawn where a picture says more. The largest structure, 1ake_A.pdb, comes
+written, as dynamics_STUDY.csv. The largest structure, 1ake_A.pdb, comes
 from --more.
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 from time import perf_counter
 
 import made
-import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 import pandas as pd
@@ -24,7 +23,6 @@ from scipy import constants
 
 import protochain as pc
 from bench import in_turn
-from bench.lines import draw_lines
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -208,19 +206,6 @@ def speed(options: argparse.Namespace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def draw(table: pd.DataFrame, path: Path) -> None:
-    """Energy error against time step and against cost."""
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
-    sound = table[(table["status"] == "completed") & (table["time_ps"] < 100)]
-    sound = sound.assign(seconds_per_ps=sound["ms_per_step"] / sound["step_fs"])
-    for ax, column in zip(axes, ("step_fs", "seconds_per_ps"), strict=True):
-        draw_lines(ax, sound, column, "error_kj_mol", "integrator")
-    axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
-    axes[1].set(xlabel="run time, s per ps")
-    figure.suptitle("Trp-cage at constant energy, 300 K: error against step and run time")
-    made.draw(figure, path, ["1l2y"], THREADS)
-
-
 def sizes(samples: tuple[str, ...], options: argparse.Namespace) -> list[Path]:
     """Files of growing size; the smallest alone if it has to be quick."""
     files = [SAMPLES / f"{name}.pdb" for name in samples] + [options.more / LARGEST]
@@ -240,9 +225,7 @@ def main() -> None:
     def of(_: str, table: pd.DataFrame) -> Iterable[object]:
         return table["structure"].unique() if "structure" in table else ["1l2y"]
 
-    found = made.study(options, STUDIES, "dynamics", of, THREADS)
-    if options.output and "energy" in found:
-        draw(found["energy"], options.output / "dynamics_energy.png")
+    made.study(options, STUDIES, "dynamics", of, THREADS)
 
 
 if __name__ == "__main__":

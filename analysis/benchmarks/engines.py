@@ -18,10 +18,8 @@ import numba
 import numpy as np
 import pandas as pd
 from made import SAMPLES
-from matplotlib.figure import Figure
 from openmm import app, unit
 from race_openmm import system, with_gbsa_obc
-from tables import SOLVENTS
 
 import protochain as pc
 from bench import in_turn
@@ -178,36 +176,6 @@ class Against:
         }  # fmt: skip
 
 
-def curves(table: pd.DataFrame) -> Figure:
-    """Error of the forces against ms of a processor, a panel a solvent, a colour a size."""
-    import matplotlib.pyplot as plt
-
-    sizes, solvents = sorted(table["atoms"].unique()), list(dict.fromkeys(table["solvent"]))
-    figure, panels = plt.subplots(
-        1, len(solvents), figsize=(4.0 * len(solvents), 3.6), sharey=True, squeeze=False, layout="constrained"
-    )
-    ways = (
-        ("tree", "o-", "tree"),
-        ("cutoff", "s:", "cutoff"),
-        ("OpenMM CPU, all", "x", "OpenMM, all pairs"),
-    )
-    for panel, solvent in zip(panels[0], solvents, strict=True):
-        for k, atoms in enumerate(sizes):
-            mine = table[(table["solvent"] == solvent) & (table["atoms"] == atoms)]
-            for begins, style, label in ways:
-                its = mine[mine["by"].str.startswith(begins)]
-                panel.loglog(
-                    its["processor_ms"], its["rms_force_off_kj_mol_nm"], style, color=f"C{k}", ms=4,
-                    label=f"{atoms:,} atoms" if begins == "tree" else label if k == 0 else None,
-                )  # fmt: skip
-            for taken in mine.loc[mine["by"] == "all pairs", "processor_ms"]:
-                panel.axvline(taken, color=f"C{k}", lw=0.6, alpha=0.6)
-        panel.set(title=SOLVENTS[solvent], xlabel="ms of a processor (line: all pairs)")
-    panels[0, 0].set_ylabel("RMS error of the forces, kJ/mol/nm")
-    panels[0, 0].legend(fontsize=6)
-    return figure
-
-
 COMPILED_BY = 2000
 """Atoms of the smallest system, whose first energies may compile kernels."""
 
@@ -286,8 +254,6 @@ def main() -> None:
             print(f"| {' | '.join(shown)} |", flush=True)
         if options.output:
             table = pd.DataFrame(rows)
-            if measure is by_accuracy:
-                made.draw(curves(table), options.output / f"{name}.png", dpi=110)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
             threads = 1 if measure is by_accuracy else options.threads
             made.write(table, options.output / f"{name}.csv", of, threads)

@@ -84,11 +84,13 @@ def write(
     record(path, path.parent, inputs, threads, by, seconds)
 
 
-def draw(figure: Any, path: Path, inputs: Iterable[object] = (), threads: int = 1, dpi: int = 150) -> None:
-    """Write a matplotlib figure as PNG, and its row in made.csv next to it."""
+def draw(figure: Any, path: Path, inputs: Iterable[object] = ()) -> None:
+    """Write a matplotlib figure as SVG, and its row in made.csv next to it."""
+    from protochain.core.figure import image
+
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi)
-    record(path, path.parent, inputs, threads)
+    path.write_bytes(image(figure, "svg"))
+    record(path, path.parent, inputs)
 
 
 def record(

@@ -34,7 +34,6 @@ import made
 import numpy as np
 import pandas as pd
 from made import HELD_OUT, SAMPLES
-from matplotlib.figure import Figure
 from scipy.integrate import BDF
 from scipy.spatial.transform import Rotation
 
@@ -206,31 +205,6 @@ def check(structure: pc.Structure, limit: float) -> None:
         print(f"{structure.name} descent: {all_atoms(rough, fine):.1e} angstrom apart", flush=True)
 
 
-def curves(table: pd.DataFrame) -> Figure:
-    """Medians of RMSD, energy above the minimum, evaluations against tolerance, and energy against RMSD."""
-    rmsd, above = "C-alpha RMSD to the start, angstrom", "above the minimum, kJ/mol per residue"
-    shown = (
-        ("tolerance", "ca_rmsd_angstrom", rmsd), ("tolerance", "above", above),
-        ("tolerance", "evaluations", "evaluations"), ("ca_rmsd_angstrom", "above", above),
-    )  # fmt: skip
-    table = table.assign(above=table["above_kj_mol"] / table["residues"])
-    medians = table.groupby(["method", "tolerance"])[["ca_rmsd_angstrom", "above", "evaluations"]].median()
-    figure = Figure(figsize=(15, 4), layout="constrained")
-    panels = figure.subplots(1, len(shown))
-    for axes, (along, column, label) in zip(panels, shown, strict=True):
-        for method in METHODS:
-            own = medians.loc[method].reset_index().sort_values("tolerance", ascending=False)
-            axes.plot(own[along], own[column], "o-", label=method)
-        axes.set(ylabel=label, xlabel=rmsd if along != "tolerance" else "tolerance, kJ/mol/nm (lbfgs: /rad)")
-        if along == "tolerance":
-            axes.set_xscale("log")
-            axes.invert_xaxis()
-        if column == "above":
-            axes.set_yscale("symlog", linthresh=0.01)
-    panels[0].legend(frameon=False)
-    return figure
-
-
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__, more=True)
     own.add_argument("structures", nargs="*", type=Path, metavar="STRUCTURE")
@@ -270,10 +244,8 @@ def main() -> None:
     if options.output and options.basins:
         made.write(pd.DataFrame(ways).round(4), options.output / "near_basins.csv", options.basins)
     elif options.output and not options.check:
-        table = pd.concat(ways)
-        made.write(table.round(4), options.output / "near.csv", files)
+        made.write(pd.concat(ways).round(4), options.output / "near.csv", files)
         made.write(pd.concat(own).round(4), options.output / "near_ends.csv", files)
-        made.draw(curves(table), options.output / "near.png", files)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from protochain.batches.frame_files import FramesRun
 from protochain.core.palette import looks
 from protochain.results.columns import heading
-from protochain.results.figures import data_url, panels, plain
+from protochain.results.figures import data_url, outside, panels, plain
 from protochain.results.page import table_data, write_page
 from protochain.results.provenance import of_run
 
@@ -69,17 +69,17 @@ def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
     if not quantities or len(frame) < 2:
         return None
     rows = -(-len(quantities) // 2)
-    figure, axes = panels(None, (rows, 2), (8, 1.9 * rows), sharex=True)
+    figure, axes = panels(None, (rows, 2), (7, 1.7 * rows), sharex=True)
     for ax, name in zip(axes, quantities, strict=False):
         for (stage, column), look in zip(pairs[name].items(), looks(pairs[name]).values(), strict=True):
             ax.plot(frame, numbers[column], **look.line(stage) | {"linewidth": 1.2})
-        ax.set_title(heading(name), fontsize="small")
-        if len(pairs[name]) > 1:
-            ax.legend(frameon=False, fontsize=7)
+        ax.set_title(heading(name))
         plain(ax)
     for k, ax in enumerate(axes):
         ax.set_visible(k < len(quantities))
         if k + 2 >= len(quantities):
             ax.set_xlabel("frame")
             ax.tick_params(labelbottom=True)
+    if any(len(stages) > 1 for stages in pairs.values()):
+        outside(axes[: len(quantities)])
     return figure

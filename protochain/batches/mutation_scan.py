@@ -258,7 +258,7 @@ def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
     image = ax.imshow(values, cmap="coolwarm", vmin=-_MOST, vmax=_MOST, aspect="auto")
     ax.set_facecolor("#cccccc")
     names = [f"{chain}:{wild}{number}" for chain, number, wild in sites]
-    ax.set_xticks(range(len(sites)), names, rotation=90, fontsize=7)
-    ax.set_yticks(range(len(letters)), letters, fontsize=8)
+    ax.set_xticks(range(len(sites)), names, rotation=90)
+    ax.set_yticks(range(len(letters)), letters)
     figure.colorbar(image, ax=ax, label="kJ/mol", extend="both")
     return figure

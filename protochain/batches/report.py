@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from protochain.core.lazy_pandas import pd
 from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
-from protochain.results.figures import panels, plain
+from protochain.results.figures import outside, panels, plain
 from protochain.results.page import table_data, write_page
 from protochain.structure.molecule.repairs import loss_lines
 
@@ -34,6 +34,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
     usable = table[table[USABLE].notna()]
     for stem, (values, label) in _measures(usable).items():
         figure = plot_distribution(values, usable["method"], label)
+        outside(figure.axes)
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
     pages = {str(path.relative_to(folder / "pages")) for path in (folder / "pages").rglob("*.html")}
     write_page(
@@ -79,6 +80,7 @@ def plot_distributions(table: "pd.DataFrame") -> Figure:
         plot_distribution(values, table["method"], label.replace(", kJ", ",\nkJ").replace(" to", "\nto"), ax)
     for ax in axes[1:]:
         ax.set_ylabel("")
+    outside(axes)
     return figure
 
 
@@ -93,7 +95,7 @@ def _measures(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
 
 def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method."""
-    figure, (ax,) = panels(ax, 1, (5.2, 3.6))
+    figure, (ax,) = panels(ax, 1, (4.6, 3.2))
     styles = looks(methods.astype(str).unique())
     for method, method_values in values.astype(float).groupby(methods, sort=False):
         sorted_values = np.sort(method_values.dropna().to_numpy())
@@ -104,8 +106,6 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
     ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)
     plain(ax)
-    if ax.lines:
-        ax.legend(frameon=False)
     return figure
 
 

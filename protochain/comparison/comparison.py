@@ -199,17 +199,21 @@ class Comparison:
         """Structures of the start and the ends, with keys ``start`` and the methods."""
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
-    def plot_energy(self, ax: Any = None) -> Figure:
-        """Energy against evaluations and seconds. ``ax``: Axes to draw in, one for each panel, or one."""
-        return plots.plot_energy(self.traces, self.structure.name, ax)
-
-    def plot_work_precision(self, ax: Any = None) -> Figure:
-        """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
-        groups = {
+    @property
+    def _groups(self) -> dict[str, list[str]]:
+        """Methods whose energies are comparable: those with the same degrees of freedom."""
+        return {
             "torsions only": [s.method for s in self.solutions if s.keeps_geometry],
             "all atoms free": [s.method for s in self.solutions if not s.keeps_geometry],
         }
-        return plots.plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
+
+    def plot_energy(self, ax: Any = None) -> Figure:
+        """Energy against evaluations and seconds. ``ax``: Axes to draw in, one for each panel, or one."""
+        return plots.plot_energy(self.traces, self._groups, self.structure.name, ax)
+
+    def plot_work_precision(self, ax: Any = None) -> Figure:
+        """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
+        return plots.plot_work_precision(self.traces, self.work, self._groups, self.structure.name, ax)
 
     def plot_torque(self, ax: Any = None) -> Figure:
         """Largest torque against evaluations and seconds, for runs in torsions."""

@@ -14,7 +14,7 @@ from protochain.core.markup import plural
 from protochain.core.palette import COLOURS
 from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
-from protochain.results.figures import data_url, panels
+from protochain.results.figures import data_url, outside, panels
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.tables import save
@@ -138,7 +138,7 @@ def write_modes(
 
 def _figure(table: pd.DataFrame, name: str) -> Figure:
     """Plot B factors of the C-alphas along the sequence, next to the B factors of the file, if present."""
-    figure, (axes,) = panels(None, 1, (8, 2.8))
+    figure, (axes,) = panels(None, 1, (7, 2.4))
     places = np.arange(1, len(table) + 1)
     filed = table["ca_b_factor_in_file_angstrom2"]
     axes.plot(places, table["ca_b_factor_angstrom2"], color=COLOURS[0], label="modes")
@@ -146,6 +146,7 @@ def _figure(table: pd.DataFrame, name: str) -> Figure:
         axes.plot(places, filed, color=COLOURS[1], linestyle="--", label="file")
     axes.set_xlabel("residue, counted from 1")
     axes.set_ylabel("B factor of C-alpha, square angstrom")
-    axes.set_title(name.replace("$", r"\$"))
-    axes.legend()
+    largest = int(np.argmax(table["ca_b_factor_angstrom2"])) + 1
+    axes.set_title(f"{name}: residue {largest} of {len(table)} moves most".replace("$", r"\$"))
+    outside([axes])
     return figure

@@ -12,55 +12,80 @@ from matplotlib.ticker import MaxNLocator
 
 from protochain.core.arrays import Floats
 from protochain.core.palette import COLOURS, looks
-from protochain.results.figures import panels, plain
+from protochain.results.figures import outside, panels, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 _LOG_FROM = 1e4
 """kJ/mol. A larger drop, as from a relieved clash, needs a logarithmic axis."""
+_SMALL = 7.0
+"""Points of the numbers in cells."""
 _SAME = 0.1
 """kJ/mol above the lowest, lower limit of a logarithmic axis: less is the same minimum."""
 
 
-def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
-    """Energy against evaluations and against seconds."""
-    _, axes = panels(ax, 2, (8, 3.6), sharey=True)
-    styles = _styles(traces["method"].unique())
+def plot_energy(
+    traces: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str, ax: Any = None
+) -> PlainFigure:
+    """Energy against evaluations and against seconds. Runs in torsions and of all atoms have their panels."""
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
+    groups = _drawn_groups(traces, groups) if ax is None else {"all runs": [*traces["method"].unique()]}
+    _, grid = panels(ax, (max(1, len(groups)), 2), (7, 0.7 + 2.4 * max(1, len(groups))), sharey="row")
     if traces.empty:
-        return _set_title(axes, ax, f"{_plain_text(title)}: no finite energy")
-    best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
-    logarithmic = best.iloc[0] - best.min() > _LOG_FROM
-    if logarithmic:
-        best = (best - best.min()).clip(lower=_SAME)
-    _draw_runs(axes, traces.assign(shown=best), "shown", styles)
-    axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
-    axes[0].set_yscale("log" if logarithmic else "linear")
-    return _set_title(axes, ax, f"{_plain_text(title)}: lowest energy so far")
+        return _set_title(grid, ax, f"{_plain_text(title)}: no finite energy")
+    styles = _styles(traces["method"].unique())
+    for axes, (name, methods) in zip(grid.reshape(len(groups), -1), groups.items(), strict=True):
+        runs = traces[traces["method"].isin(methods)]
+        best = runs.groupby("method", sort=False)["energy_kj_mol"].cummin()
+        finding = _end_lowest(best.groupby(runs["method"], sort=False).min())
+        axes[0].set_title(f"{_plain_text(title)}, {name}: {finding}", loc="left")
+        logarithmic = best.iloc[0] - best.min() > _LOG_FROM
+        if logarithmic:
+            best = (best - best.min()).clip(lower=_SAME)
+        _draw_runs(axes, runs.assign(shown=best), "shown", styles)
+        axes[0].set_ylabel(f"{'energy above the lowest' if logarithmic else 'lowest energy so far'}, kJ/mol")
+        axes[0].set_yscale("log" if logarithmic else "linear")
+    outside(grid)
+    figure: PlainFigure = grid[0].figure
+    return figure
+
+
+def _drawn_groups(traces: pd.DataFrame, groups: Mapping[str, Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Groups of methods that have run."""
+    return {name: methods for name, methods in groups.items() if traces["method"].isin(methods).any()}
+
+
+def _end_lowest(energies: pd.Series) -> str:
+    """Methods that end lowest, of the lowest energy of each."""
+    lowest = [str(name) for name in energies.index[energies <= energies.min() + _SAME]]
+    ends = f"{' and '.join(filter(None, (', '.join(lowest[:-1]), lowest[-1])))} end{'s'[len(lowest) > 1 :]}"
+    return f"{ends} {'lowest, ' if len(energies) > 1 else ''}at {energies.min():.1f} kJ/mol"
 
 
 def plot_work_precision(
     traces: pd.DataFrame, work: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str, ax: Any = None
 ) -> PlainFigure:
     """Energy above the lowest end against evaluations and against seconds (work-precision diagram)."""
-    groups = {name: methods for name, methods in groups.items() if methods}
+    groups = _drawn_groups(traces, groups)
     n = len(groups)
-    _, axes_grid = panels(ax, (n, 2), (8, 0.6 + 3.2 * n), least=2 * n, sharex="col", sharey=True)
-    grid = axes_grid.reshape(n, 2)
+    _, axes_grid = panels(ax, (n, 2), (7, 0.7 + 2.4 * n), least=2 * n, sharex="col", sharey=True)
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
     # Single-precision energies may be below the lowest judged energy.
     traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
-    for axes, (name, methods) in zip(grid, groups.items(), strict=True):
+    for axes, (name, methods) in zip(axes_grid.reshape(n, 2), groups.items(), strict=True):
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
         axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
         axes[0].set_yscale("log")
-    return _set_title(axes_grid, ax, f"{_plain_text(title)}: energy above the lowest end against cost")
+    outside(axes_grid)
+    near = work.set_index("method")["evaluations_within_10_kj_mol"].dropna()
+    first = f"{near.idxmin()} is the first, after {near.min():.0f} evaluations" if len(near) else "none comes"
+    return _set_title(axes_grid, ax, f"{_plain_text(title)}: {first}, within 10 kJ/mol of the lowest end")
 
 
 def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Largest torque against evaluations and against seconds."""
-    _, axes = panels(ax, 2, (8, 3.6), sharey=True)
+    _, axes = panels(ax, 2, (7, 3.1), sharey=True)
     styles = _styles(traces["method"].unique())
     drawn = traces["max_torque_kj_mol_rad"] > 0.0
     free = traces.loc[~drawn, "method"].unique()
@@ -71,17 +96,20 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
-    return _set_title(axes, ax, f"{_plain_text(title)}: largest torque on a hinge{note}")
+    outside(axes)
+    last = traces.groupby("method", sort=False)["max_torque_kj_mol_rad"].last()
+    text = f"the largest torque on a hinge falls to {last.min():.3g} kJ/mol/rad ({last.idxmin()})"
+    return _set_title(axes, ax, f"{_plain_text(title)}: {text}{note}")
 
 
 def _set_title(axes: Any, ax: Any, title: str) -> PlainFigure:
     """Figure of the Axes, with a title above all panels, or above the first of the user's Axes."""
     figure: PlainFigure = axes[0].figure
     if ax is None:
-        wide = int(11 * figure.get_figwidth())
+        wide = int(13 * figure.get_figwidth())
         figure.suptitle("\n".join(fill(line, wide) for line in title.split("\n")))
     else:
-        axes[0].set_title(title, fontsize="medium")
+        axes[0].set_title(title)
     return figure
 
 
@@ -100,7 +128,6 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
             ax.plot(run[cost], run[value], **styles[str(method)])
     for ax, label in zip(axes, ("energy evaluations", "seconds"), strict=False):
         ax.set_xlabel(label)
-    axes[0].legend(frameon=False)
     for ax in axes:
         ax.set_xscale("log")
         plain(ax)
@@ -110,9 +137,9 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = No
     """C-alpha RMSD to the start along each run, and between all ends."""
     alone = traces["method"].nunique() == 1
     if alone and ax is None:
-        _, axes = panels(None, 1, (6, 3.2))
+        _, axes = panels(None, 1, (5, 2.8))
     else:
-        _, axes = panels(ax, 2, (8, 3.6), width_ratios=(1.3, 1))
+        _, axes = panels(ax, 2, (7, 3.1), width_ratios=(1.1, 1))
     left = axes[0]
     styles = _styles(traces["method"].unique())
     for method, run in traces.groupby("method", sort=False):
@@ -120,11 +147,13 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = No
     left.set_xscale("log")
     left.set_xlabel("energy evaluations")
     left.set_ylabel("C-alpha RMSD to the start, angstrom")
-    left.legend(frameon=False)
+    outside(axes)
     plain(left)
     if len(axes) > 1:
         _draw_between(axes[1], rmsd)
-    return _set_title(axes, ax, f"{_plain_text(title)}: C-alpha RMSD after superposition")
+    ends = traces.groupby("method", sort=False)["ca_rmsd_angstrom"].last()
+    far = f"{ends.min():.2f} to {ends.max():.2f}" if len(ends) > 1 else f"{ends.max():.2f}"
+    return _set_title(axes, ax, f"{_plain_text(title)}: C-alphas move by {far} angstrom (RMSD to the start)")
 
 
 def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
@@ -137,14 +166,16 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
     for i in ticks:
         for j in ticks:
             shade = "white" if values[i, j] > 0.6 * values.max() else "black"
-            right.text(float(j), float(i), f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
-    right.set_title("between ends", fontsize="medium")
+            text = f"{values[i, j]:.{2 if len(ticks) < 7 else 1}f}"
+            right.text(float(j), float(i), text, ha="center", va="center", color=shade, fontsize=_SMALL)
+    right.grid(False)
+    right.set_title("between ends")
     right.figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
 
 
 def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Displacement of each C-alpha from the start."""
-    _, axes = panels(ax, 1, (8, 3.2))
+    _, axes = panels(ax, 1, (7, 2.8))
     (panel,) = axes
     place = np.arange(1, len(displacements) + 1)
     for method, style in _styles(displacements.columns[3:]).items():
@@ -156,15 +187,16 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     panel.set_ylabel("displacement of C-alpha, angstrom")
     panel.set_ylim(bottom=0.0)
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    panel.legend(frameon=False, ncols=3)
+    outside(axes)
     plain(panel)
-    text = "displacement from the start, superposed on all C-alphas"
+    moved = displacements.iloc[:, 3:].max(axis=1)
+    text = f"no C-alpha moves by more than {moved.max():.1f} angstrom from the start (all superposed)"
     return _set_title(axes, ax, f"{_plain_text(title)}: {text}")
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
     """Change of torsions and displacement of C-alphas along the sequence."""
-    _, axes = panels(ax, (2, 1), (8, 5), least=1)
+    _, axes = panels(ax, (2, 1), (7, 4.2), least=1)
     top, bottom = axes[0], axes[-1]
     styles = _styles(changes)
     for name, table in changes.items():
@@ -178,8 +210,7 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
         if len(axes) > 1:
             bottom.plot(place, table["ca_moved_angstrom"], **styles[name] | {"linewidth": 1.2})
     top.set(ylabel="change of torsions, degrees", ylim=(0, None))
-    if changes:
-        top.legend(frameon=False, ncols=3)
+    outside([top])
     if len(axes) > 1:
         bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
     bottom.set_xlabel("residue")
@@ -188,7 +219,9 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     for panel in axes:
         panel.set_xticks([*places], [*places.values()])
         plain(panel)
-    return _set_title(axes, ax, f"{_plain_text(title)}: changes" if title else "")
+    far = max((table["ca_moved_angstrom"].max() for table in changes.values()), default=0.0)
+    text = f"{_plain_text(title)}: no C-alpha moves by more than {far:.1f} angstrom"
+    return _set_title(axes, ax, text if title else "")
 
 
 _CHIS = ("chi1", "chi2", "chi3", "chi4")
@@ -215,7 +248,7 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
     for panel, (name, values) in zip(axes, angles.items(), strict=False):
         ramachandran_ground(panel)
         panel.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
-        panel.set_title(name, fontsize="medium")
+        panel.set_title(name)
     for k, panel in enumerate(axes):
         panel.set_visible(k < len(angles))
         if ax is not None or k + columns >= len(angles):

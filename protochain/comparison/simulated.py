@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats
 from protochain.core.palette import COLOURS, looks
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.columns import heading
-from protochain.results.figures import data_url, panels, plain
+from protochain.results.figures import data_url, outside, panels, plain
 from protochain.results.page import write_page
 from protochain.results.provenance import of_run
 from protochain.results.viewer import library, superpose
@@ -86,14 +86,14 @@ def _log(log: pd.DataFrame) -> Figure:
     """Plot quantities of the log against time, quantities of one unit in one panel."""
     rows = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
     rows = [(label, names) for label, names in rows if names]
-    figure, axes = panels(None, (len(rows), 1), (8, 2.1 * len(rows)), sharex=True)
+    figure, axes = panels(None, (len(rows), 1), (7, 0.3 + 1.8 * len(rows)), sharex=True)
     for ax, (label, names) in zip(axes, rows, strict=True):
         columns = {heading(name).split(",")[0]: name for name in names}
         for look, (legend, name) in zip(looks(columns).values(), columns.items(), strict=True):
             ax.plot(log["time_ps"], log[name], **look.line(legend) | {"marker": "", "linewidth": 1.2})
         ax.set_ylabel(label.replace(", ", ",\n") if len(label) > 20 else label)
         if len(names) > 1:
-            ax.legend(frameon=False, fontsize=8)
+            outside([ax])
         plain(ax)
     axes[-1].set_xlabel("time, ps")
     return figure
@@ -106,7 +106,7 @@ def rmsf(structure: Structure, frames: Iterable[Structure]) -> Floats:
 
 
 def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
-    figure, (ax,) = panels(None, 1, (8, 2.6))
+    figure, (ax,) = panels(None, 1, (7, 2.3))
     values, residues = rmsf(structure, frames), structure.atom_residue[structure.alpha_carbons]
     ax.plot(np.arange(1, len(values) + 1), values, color=COLOURS[0], marker="o", markersize=3)
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
@@ -119,7 +119,7 @@ def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
 
 def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
     """Phi and psi of all frames, coloured by time."""
-    figure, (ax,) = panels(None, 1, (6.0, 3.8))
+    figure, (ax,) = panels(None, 1, (5.0, 3.3))
     angles = [ramachandran(frame) for frame in frames]
     ramachandran_ground(ax)
     points = ax.scatter(

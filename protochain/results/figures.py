@@ -1,10 +1,7 @@
 """Figures: their colours and axes, and their embedding in pages."""
 
 import base64
-import io
-from collections.abc import Callable
-from functools import partial
-from importlib.resources import as_file, files
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +12,13 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.figure import Figure as Figure
+from protochain.core.figure import image, style
 from protochain.core.storage import write_atomically
 
 FORMATS = (".svg", ".pdf", ".png")
 """Formats of figures for papers."""
+_LARGE = 150_000
+"""Bytes of an SVG beyond which a page has a PNG."""
 
 
 def plain(ax: Axes) -> None:
@@ -50,11 +50,30 @@ def panels(
     return axes[0].figure, axes
 
 
+def outside(axes: Iterable[Axes], title: str = "") -> None:
+    """Put one legend off the data: of one panel to its right, of several below them."""
+    axes = list(axes)
+    keys = {label: line for ax in axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure: Any = axes[0].figure
+    root: Any = axes[0].get_figure(root=True)
+    if not isinstance(root, Figure) or not keys:
+        options: dict[str, Any] = {}
+    elif len(axes) == 1:
+        options = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+    else:
+        fit = int(root.get_figwidth() / (0.6 + 0.065 * max(map(len, keys))))
+        options = {"loc": "outside lower center", "ncols": max(1, min(fit, len(keys)))}
+    if keys:
+        with style():
+            (figure if "ncols" in options else axes[0]).legend(keys.values(), keys, title=title, **options)
+
+
 def data_url(figure: PlainFigure) -> str:
-    """Figure as a data URL for a page."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, transparent=True)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    """Figure as a data URL for a page: an SVG, or a PNG if the SVG would be large."""
+    content, kind = image(figure, "svg"), "svg+xml"
+    if len(content) > _LARGE:
+        content, kind = image(figure, "png", dpi=150, transparent=True), "png"
+    return f"data:image/{kind};base64," + base64.b64encode(content).decode()
 
 
 def check_figure(path: Path | None) -> None:
@@ -64,13 +83,6 @@ def check_figure(path: Path | None) -> None:
 
 
 def write_figure(path: Path, draw: Callable[[], PlainFigure]) -> None:
-    """Write a figure for a paper in the package's style, in the format of its file name."""
-    import matplotlib.style
-
-    kind = path.suffix.lower().removeprefix(".")
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-    with (
-        as_file(files("protochain.results") / "static" / "paper.mplstyle") as style,
-        matplotlib.style.context(str(style)),
-    ):
-        write_atomically(path, partial(draw().savefig, format=kind, metadata=metadata))
+    """Write a figure for a paper, in the format of its file name."""
+    content = image(draw(), path.suffix.lower().removeprefix("."))
+    write_atomically(path, lambda to: to.write_bytes(content))

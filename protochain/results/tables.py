@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from protochain.core.figure import image
 from protochain.core.storage import write_atomically
 
 
@@ -20,6 +21,6 @@ def _write(content: pd.DataFrame | Figure | str, to: Path) -> None:
     if isinstance(content, pd.DataFrame):
         content.to_csv(to, index=False)
     elif isinstance(content, Figure):
-        content.savefig(to, dpi=120)
+        to.write_bytes(image(content, to.suffix.removeprefix("."), dpi=150))
     else:
         to.write_text(content, encoding="utf-8")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from protochain.core.arrays import Floats
 from protochain.core.palette import COLOURS, START, looks
 from protochain.core.storage import json_text, write_text
-from protochain.results.figures import data_url, panels, plain
+from protochain.results.figures import data_url, outside, panels, plain
 from protochain.results.page import write_page
 from protochain.results.run_folder import remove_files
 from protochain.results.tables import save
@@ -71,7 +71,7 @@ def write_search(
 def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure:
     """Plot energies of minima against C-alpha RMSD to the lowest, and the lowest energy of each walk."""
     # walks: for each walk (n, 2), evaluations and energies of its minima.
-    figure, (left, right) = panels(None, 2, (8, 3.4))
+    figure, (left, right) = panels(None, 2, (7, 3.2))
     clusters = table["cluster"].to_numpy()
     for k, (colour, marker) in enumerate(zip((*COLOURS, START), "osD^vPX.", strict=True), 1):
         rows = table[clusters == k if k <= len(COLOURS) else clusters > len(COLOURS)]
@@ -81,15 +81,16 @@ def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> 
                 marker=marker, label=f"{k}" if k <= len(COLOURS) else "others",
             )  # fmt: skip
     left.set(xlabel="C-alpha RMSD to the lowest, angstrom", ylabel="energy above the lowest, kJ/mol")
-    left.legend(title="cluster", fontsize=8)
+    outside([left], title="cluster")
+    left.set_title(f"{len(table)} minima, {(table['above_lowest_kj_mol'] < 10.0).sum()} within 10 kJ/mol")
     runs = {f"walker {number}": walk for number, walk in enumerate(walks)}
     for (name, walk), look in zip(runs.items(), looks(runs).values(), strict=True):
         lowest_so_far = np.minimum.accumulate(walk[:, 1]) - lowest
         right.step(walk[:, 0], lowest_so_far, where="post", **look.line(name))
     right.set(xlabel="energy evaluations of a walk", ylabel="lowest so far, above\nthe lowest of all, kJ/mol")
     right.set_xscale("log")
-    if len(runs) <= 8:
-        right.legend(fontsize=8)
+    near = sum(np.min(walk[:, 1], initial=np.inf) < lowest + 1.0 for walk in runs.values())
+    right.set_title(f"walks that come within 1 kJ/mol of it: {near} of {len(runs)}")
     plain(left)
     plain(right)
     return figure

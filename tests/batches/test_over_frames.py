@@ -314,7 +314,7 @@ def test_the_page_shows_distributions_and_names_the_frames_without_a_result(tmp_
     done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.dcd")
     write_report(done, "relax", "x.xtc <b>", tmp_path / "o.html")
     page = (tmp_path / "o.html").read_text()
-    assert "x.xtc &lt;b&gt;" in page and page.count("data:image/png") == 1
+    assert "x.xtc &lt;b&gt;" in page and page.count('src="data:image/') == 1
     table, (cells, _) = pd.read_csv(done.csv), explored(page)
     assert str(table["message"][2]) in cells
     assert pytest.approx(table["ca_rmsd_angstrom"].max(), rel=1e-5) in cells

@@ -93,7 +93,7 @@ def test_a_figure_has_the_format_of_its_name_and_is_the_same_twice(suffix, head,
 @pytest.mark.parametrize(
     ("command", "words", "shown"),
     [
-        ("compare", ("--no-curvature",), ["a: lowest energy so far"]),
+        ("compare", ("--no-curvature",), ["a, torsions only: lbfgs ends lowest, at -450."]),
         ("batch", ("--workers", 1), ["energy drop,", "C-alpha RMSD", "seconds", "lbfgs", "fire"]),
     ],
 )

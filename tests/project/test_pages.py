@@ -92,7 +92,12 @@ def test_every_table_of_numbers_is_made_from_results(page):
         assert numbers == [], f"typed numbers {numbers[:5]}"
 
 
-PICTURES = [*made.DOCS.glob("*.png"), *made.RESULTS.glob("*.png")]
+PICTURES = sorted(
+    path
+    for folder in ("analysis", "structures")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in {".png", ".svg", ".jpg", ".webp", ".gif"} and "parts" not in path.parts
+)
 RECORDED = [
     *PICTURES,
     *NOTEBOOKS,
@@ -111,6 +116,19 @@ def test_a_table_picture_or_notebook_is_the_one_of_its_record(path):
     alike = rows[(rows["command"] == row["command"]) & (rows["inputs"] == row["inputs"])]
     # Samples of faults are drawn at two commits.
     assert set(alike["commit"]) == {row["commit"]} or path.name.startswith("mutants")
+
+
+def test_every_picture_of_a_page_has_its_row_and_a_job():
+    """And none is in the repository that no page shows."""
+    shown = {
+        (page.parent / link).resolve()
+        for page in (*ROOT.glob("*.md"), *(ROOT / "analysis").rglob("*.md"))
+        for link in re.findall(r"!\[[^\]]*\]\(([^)#]+)\)", page.read_text())
+    }
+    rows = set(pd.read_csv(made.RESULTS / made.RECORD)["table"])
+    jobs = {name for job in benchmarks.JOBS for name in job.tables}
+    assert shown == set(PICTURES)
+    assert {path.name for path in PICTURES} <= rows & jobs
 
 
 def test_the_contents_list_every_page_and_section():

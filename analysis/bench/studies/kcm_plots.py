@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 
 from bench.studies.kcm_cases import AT
-from protochain.core.palette import COLOURS, looks
-from protochain.results.figures import Figure, plain
+from protochain.core.figure import style
+from protochain.core.palette import COLOURS, START, looks
+from protochain.results.figures import Figure, outside, plain
 
 SHOWN = ("kcm-0.005", "kcm-metric", "md-1", "md-10", "lbfgs")
 """Methods of the panels of energies."""
@@ -16,69 +17,69 @@ _LEAST = 1e-2
 """kJ/mol, where curves end on the logarithmic axis."""
 
 
+@style()
 def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Figure:
     """Panels: energy along runs of one start, how often pairs of methods agree, energy for equal cost."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
-    shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]
-    style = {name: look.line(name) for name, look in looks(SHOWN).items()}
+    figure = Figure(figsize=(7, 6.6), layout="constrained")
+    above, below = figure.subfigures(2, 1, squeeze=False)[:, 0]
+    shares, (energy, cost) = above.subplots(), below.subplots(1, 2)
+    lines = {name: look.line(name) for name, look in looks(SHOWN).items()}
     if traces is not None and len(traces):
         for name, own in traces.groupby("method", sort=False):
-            energy.plot(own["evaluations"], own["energy_kj_mol"], **style[str(name)])
-        first = traces.iloc[0]
-        energy.set_title(f"One start: {first['protein']}, {first['start']}")
+            energy.plot(own["evaluations"], own["energy_kj_mol"], **lines[str(name)])
+        first, last = traces.iloc[0], traces.groupby("method")["energy_kj_mol"].last()
+        energy.set_title(f"{first['protein']}, {first['start']}: {last.idxmin()} ends lowest")
     energy.set(xscale="log", xlabel="evaluations", ylabel="potential energy, kJ/mol")
     if len(tables["contrasts"]):
         _contrasts(shares, tables["contrasts"])
-    for row in tables["cost"].to_dict("records"):
-        if row["method"] in style:
-            above = [max(row[f"at_{k}"], _LEAST) for k in AT]
-            cost.plot(AT, above, **style[row["method"]])
+    rows = tables["cost"].set_index("method")
+    methods = [name for name in SHOWN if name in rows.index]
+    rows = rows.loc[methods, [f"at_{k}" for k in AT]].clip(lower=_LEAST)
+    for method in methods:
+        cost.plot(AT, rows.loc[method], **lines[method])
+    lowest = rows[f"at_{AT[-1]}"].idxmin() if len(rows) else "none"
     cost.set(
-        xscale="log", yscale="log", xlabel="evaluations", title="All starts of which every method has run",
+        xscale="log", yscale="log", xlabel="evaluations", title=f"All starts: {lowest} ends lowest",
         ylabel="median above the lowest\nminimum of the start, kJ/mol",
     )  # fmt: skip
     for axis in (energy, shares, cost):
         plain(axis)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(frameon=False, fontsize=8, loc="lower left" if axis is shares else "best")
+    outside([energy, cost])
     return figure
 
 
 PATHS = (
-    "kcm-0.005", "entropy-positions-0.03", "entropy-mass-0.01", "md-0.1", "md-1", "md-10", "md-100", "lbfgs",
+    "kcm-0.005", "entropy-positions-0.03", "entropy-mass-0.01", "md-0.1", "md-1", "md-10", "lbfgs",
 )  # fmt: skip
-"""Methods of the figure of paths."""
+"""Methods of the figure of paths, as many as there are colours."""
 
 
+@style()
 def plot_paths(points: pd.DataFrame, rows: pd.DataFrame) -> Figure:
     """Energy along the paths of one peptide, and path lengths from deposited proteins at equal cost."""
-    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
     energy, lengths = figure.subplots(1, 2)
-    style = looks(PATHS)
+    methods = looks(PATHS)
     for name in PATHS:
         path = points[points["method"] == name]
-        energy.plot(path["path_nm"], path["energy_kj_mol"], **style[name].line(name))
+        energy.plot(path["path_nm"], path["energy_kj_mol"], **methods[name].line(name))
     energy.set(
         xscale="log", xlim=(1e-3, None), ylabel="potential energy, kJ/mol",
         xlabel="path length, nm (RMS movement by mass)",
-        title=f"Bounded KCM falls along a path as short as that of dynamics: {points['protein'].iloc[0]}",
+        title=f"Bounded KCM falls along a path as\nshort as that of dynamics: {points['protein'].iloc[0]}",
     )  # fmt: skip
     deposited = rows[rows["start"] == "deposited"].sort_values("residues", kind="stable")
     for name in PATHS:
         path = deposited[deposited["method"] == name]
         if len(path):
-            lengths.plot(path["residues"], path["path_nm"], **style[name].line(name) | {"markevery": 1})
+            lengths.plot(path["residues"], path["path_nm"], **methods[name].line(name) | {"markevery": 1})
     lengths.set(
         xscale="log", yscale="log", xlabel="residues", ylabel="path length, nm",
-        title="Without a bound KCM moves a protein to and fro",
+        title="Without a bound KCM moves\na protein to and fro",
     )  # fmt: skip
     for axis in (energy, lengths):
         plain(axis)
-        axis.title.set_fontsize(10)
-    figure.legend(
-        *energy.get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside lower center", ncols=8
-    )
+    outside([energy, lengths])
     return figure
 
 
@@ -99,15 +100,16 @@ def _contrasts(axis: Any, table: pd.DataFrame) -> None:
     rows = table[table["scope"] == table["scope"].iloc[0]].set_index("what")
     own = rows.loc[[name for name in reversed(_NAMED) if name in rows.index]]
     own = own[own["baseline"].notna()]
-    for name, colour, shift in (("same", COLOURS[0], 0.12), ("baseline", "0.6", -0.12)):
+    for name, colour, shift in (("same", COLOURS[0], 0.12), ("baseline", START, -0.12)):
         value = 100.0 * own[name]
         off = [value - 100.0 * own[f"{name}_low"], 100.0 * own[f"{name}_high"] - value]
-        label = (
-            "with the change" if name == "same" else "with a change that should not matter (half the step)"
-        )
+        label = "with the change" if name == "same" else "with half the step"
         axis.errorbar(value, np.arange(len(own)) + shift, xerr=off, fmt="o", color=colour, label=label, ms=4)
-    axis.set_yticks(range(len(own)), [_NAMED[what] for what in own.index], fontsize=9)
+    axis.set_yticks(range(len(own)), [_NAMED[what] for what in own.index])
     axis.set(xlim=(0, 100), xlabel="runs from one start that end in the same minimum, per cent")
+    outside([axis])
+    first, inertia = (100.0 * own["same"].get(name, np.nan) for name in [*_NAMED][:3:2])
     axis.set_title(
-        f"How often does a change of the method leave the minimum as it is? {table['scope'].iloc[0]}"
+        f"{table['scope'].iloc[0]}: KCM and dynamics share {first:.0f} % of minima. "
+        f"Inertia with friction 10 / ps leaves {inertia:.0f} %"
     )

@@ -9,7 +9,7 @@ from matplotlib.ticker import NullFormatter
 
 from bench.cases import CURVES, Point, table
 from bench.lines import draw_lines
-from protochain.results.figures import Figure
+from protochain.results.figures import Figure, outside
 
 _LEAST = 1e-21
 """Where an error of nothing is drawn, on a logarithmic axis."""
@@ -87,7 +87,7 @@ def plot(points: pd.DataFrame, title: str) -> Figure:
     cases: Sequence[tuple[object, pd.DataFrame]] = list(points.groupby("case", sort=False))
     counted = [case for case, own in cases if _counts(own)]
     costs = ["seconds"] + (["evaluations"] if counted else [])
-    figure = Figure(figsize=(5.5 * len(costs), 0.4 + 3.6 * len(cases)), layout="constrained")
+    figure = Figure(figsize=(3.6 * len(costs), 0.6 + 2.5 * len(cases)), layout="constrained")
     grid = figure.subplots(len(cases), len(costs), squeeze=False)
     for row, (case, own) in zip(grid, cases, strict=True):
         for ax, cost in zip(row, costs, strict=True):
@@ -98,6 +98,7 @@ def plot(points: pd.DataFrame, title: str) -> Figure:
             unit = own["unit"].iloc[0]
             ax.set(title=str(case), ylabel="relative error" if unit == "1" else f"error, {unit}")
             ax.xaxis.set_minor_formatter(NullFormatter())
+    outside(grid.ravel())
     figure.suptitle(title)
     return figure
 

@@ -17,7 +17,7 @@ from protochain.core import defaults
 from protochain.core.palette import looks
 from protochain.energies import energy
 from protochain.minimisers import RECIPES, minimise
-from protochain.results.figures import Figure, plain
+from protochain.results.figures import Figure, outside, plain
 from protochain.results.tables import save
 from protochain.structure import Structure, from_sequence, load
 
@@ -105,7 +105,7 @@ def points(needed: pd.DataFrame, structures: int) -> Iterator[Point]:
 
 def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
     """Median energy above the best known, against evaluations and seconds."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
+    figure = Figure(figsize=(7, 5.6), layout="constrained")
     axes = figure.subplots(2, 2, sharey=True)
     for row, (name, in_torsions) in zip(
         axes, (("torsions only", True), ("all atoms free", False)), strict=True
@@ -120,9 +120,9 @@ def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
                 )
                 ax.plot(grid, np.maximum(curve, 1e-2), **look.line(method))
             ax.set(xscale="log", yscale="log", xlabel=cost, title=name)
-            ax.legend(frameon=False, fontsize=8)
             plain(ax)
         row[0].set_ylabel("median energy above the best known,\nkJ/mol per 100 residues")
+    outside(axes.ravel())
     return figure
 
 

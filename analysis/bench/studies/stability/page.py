@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 
 from bench.cases import Outcome
+from protochain.core.figure import INK
+from protochain.core.palette import COLOURS
 from protochain.results.figures import Figure
 
 
@@ -19,9 +21,9 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
 
 
 _STYLES = {
-    Outcome.RIGHT: ("#0072B2", "o", 9),
-    Outcome.REFUSED: ("#B8860B", "_", 40),
-    Outcome.WRONG: ("#CC0000", "x", 40),
+    Outcome.RIGHT: (COLOURS[0], "o", 9),
+    Outcome.REFUSED: (COLOURS[3], "_", 40),
+    Outcome.WRONG: (COLOURS[1], "x", 40),
 }
 _LEAST = 1e-8
 """Of the bound: errors below are drawn there."""
@@ -31,7 +33,7 @@ def picture(table: pd.DataFrame) -> Figure:
     """Error of each cell over its bound, a line of dots for each case; refusals beyond the bound."""
     named = table[["row", "case"]].drop_duplicates()
     cases = list(zip(named["row"], named["case"], strict=True))
-    figure = Figure(figsize=(8, 0.17 * len(cases) + 1.2), layout="constrained")
+    figure = Figure(figsize=(7, 0.16 * len(cases) + 1.2), layout="constrained")
     ax = figure.subplots()
     place = {each: i for i, each in enumerate(cases)}
     y = np.array([place[each] for each in zip(table["row"], table["case"], strict=True)])
@@ -46,13 +48,15 @@ def picture(table: pd.DataFrame) -> Figure:
         ax.scatter(at, y[own], s=size, c=colour, marker=marker, linewidths=1.2, label=label)
     for k, n in enumerate(np.bincount(y[(table["verdict"] == Outcome.REFUSED).to_numpy()])):
         if n:
-            ax.text(16.0, k, str(n), fontsize=7, va="center", color=_STYLES[Outcome.REFUSED][0])
-    ax.axvline(1.0, color="black", lw=0.8)
+            ax.text(16.0, k, str(n), fontsize=8, va="center", color=_STYLES[Outcome.REFUSED][0])
+    ax.axvline(1.0, color=INK, lw=0.8)
     ax.set_xscale("log")
     ax.set_xlim(0.5 * _LEAST, 50)
-    ax.set_yticks(range(len(cases)), [f"{case}  ({row})" for row, case in cases], fontsize=7)
+    ax.set_yticks(range(len(cases)), [f"{case}  ({row})" for row, case in cases])
     ax.set_ylim(len(cases) - 0.5, -0.5)
-    ax.grid(True, alpha=0.25)
-    ax.set_xlabel(f"error over the largest that theory allows (line); at {_LEAST:g}: less, or none")
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    ax.set_xlabel(f"error / largest error that theory allows (line); at {_LEAST:g}: less, or none")
+    figure.legend(loc="outside lower center", ncols=3)
+    wrong = int((table["verdict"] == Outcome.WRONG).sum())
+    are = f"{wrong} are" if wrong > 1 else f"{wrong or 'none'} is"
+    figure.suptitle(f"Of {len(table):,} stiff and extreme cells {are} wrong")
     return figure

@@ -15,7 +15,7 @@ from bench.cost import in_turn
 from bench.lines import draw_lines
 from bench.studies.precision.solvers import SOLVERS, Solver, backward_error, dense, posed
 from protochain.mechanics.multibody import HingeKind, multiply_mass, solve_mass
-from protochain.results.figures import Figure
+from protochain.results.figures import Figure, outside
 from protochain.results.tables import save
 
 DENSE_UP_TO = 3000
@@ -56,12 +56,14 @@ def crossover() -> int:
 
 def plot(table: pd.DataFrame) -> Figure:
     """Run time and error against the number of bodies."""
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    axes = figure.subplots(1, 2)
     for ax, column, label in zip(
-        figure.subplots(1, 2), ("ms", "backward_error_eps"), ("ms", "backward error, eps"), strict=True
+        axes, ("ms", "backward_error_eps"), ("ms", "backward error, eps"), strict=True
     ):
         draw_lines(ax, table, "bodies", column, "route")
         ax.set_ylabel(label)
+    outside(axes)
     figure.suptitle("M^-1 tau of random serial chains")
     return figure
 
