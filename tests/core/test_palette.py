@@ -71,3 +71,11 @@ def test_the_order_of_methods_does_not_change_their_colours():
 def test_many_names_differ_in_colour_or_dashes():
     many = looks(map(str, range(25)))
     assert len({(look.colour, str(look.dash)) for look in many.values()}) == 25
+
+
+def test_a_new_method_takes_no_colour_of_the_first_ones():
+    """The first seven have the colours in order, on every page, alone and together."""
+    first = ("lbfgs", "kcm", "openmm", "hybrid", "cartesian", "openmm-md", "newton")
+    assert [looks([name])[name].colour for name in first] == [*COLOURS]
+    second = ("fire", "md", "kcm-adaptive")
+    assert [looks([name])[name].colour for name in second] == [*COLOURS[:3]]

@@ -289,3 +289,9 @@ def test_what_is_no_method_is_refused(method, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         recipe_of(method)
     assert str(refusal.value).startswith(said)
+
+
+def test_the_outlook_knows_the_methods_that_converge_and_the_order_of_their_costs():
+    typical = {name: recipe.typical for name, recipe in RECIPES.items() if recipe.typical}
+    by_cost = ["lbfgs", "cartesian", "hybrid", "newton", "md", "openmm", "anneal", "openmm-md"]
+    assert sorted(typical, key=typical.__getitem__) == by_cost

@@ -20,9 +20,10 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
+from protochain.structure import as_structure
 from protochain.structure.formats.confidences import Confidence, read_scores
 from protochain.structure.select import select, sides, touching_chains
-from protochain.validation import CONFIDENCES, MAKEUP, SCORES
+from protochain.validation import CONFIDENCES, MAKEUP, SCORES, interface
 from protochain.validation.interface import _unsatisfied_atoms
 from protochain.validation.packing import packing
 
@@ -575,3 +576,17 @@ def test_an_atom_in_the_place_of_another_adds_no_area():
         pc.score_interface(s.with_positions(each), "A", "B").scores["buried_area_angstrom2"] for each in x
     ]
     assert areas[0] == pytest.approx(areas[1], abs=TWIN_AREA)
+
+
+def test_a_file_is_prepared_for_the_force_field_that_scores_it(monkeypatch):
+    """A residue of the user's force field is known only to a preparation with it."""
+    seen = []
+
+    def prepare(source, **settings):
+        seen.append(settings)
+        return as_structure(source, **settings)
+
+    monkeypatch.setattr(interface, "as_structure", prepare)
+    for given in ({}, {"forcefield": "charmm36", "solvent": "vacuum"}):
+        pc.score_interface(STRUCTURES / "3i40.pdb", "A", "B", **given, ph=6.0)
+    assert seen == [{"ph": 6.0}, {"forcefield": "charmm36", "ph": 6.0}]
