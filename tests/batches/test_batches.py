@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.texts import explored
 from fixtures.waiting import HANG
@@ -149,7 +150,7 @@ def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tm
     assert [p.skipped for p in seen] == [1, 1]
     assert result.table["structure"].tolist() == ["1l2y", "cut", "deep/ala10"]
     assert result.table["energy_end_kj_mol"].iloc[0] == first.table["energy_end_kj_mol"].iloc[0]
-    with pytest.raises(pc.ProtochainError, match="contains a batch"):
+    with expect_refusal("resume", "force", match="contains a batch"):
         pc.batch(folder, tmp_path, "lbfgs")
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from fixtures.command_line import COMMAND
 from fixtures.frames import models, saved, shaken
+from fixtures.refusals import expect_refusal
 from fixtures.samples import load
 from fixtures.texts import explored
 from fixtures.tolerances import RIGID_MOTION
@@ -245,9 +246,9 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
         file.write(b"9,,conver")
     part = next(tmp_path.glob("stopped.part.*"))
     part.write_bytes(part.read_bytes() + b"part of a frame")
-    with pytest.raises(pc.ProtochainError, match="resume"):
+    with expect_refusal("resume", "force"):
         run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped)
-    with pytest.raises(pc.ProtochainError, match="solvent"):
+    with expect_refusal("solvent"):
         other = RelaxFrames(RelaxSettings(), pc.Setup(threads=1, solvent="vacuum"))
         run_frames(ensemble, chosen, other, stopped.with_suffix(".csv"), stopped, resume=True)
     again = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
@@ -259,12 +260,12 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     read = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
     assert read.was_complete and replace(read, was_complete=False) == again
     table = stopped.with_suffix(".csv")
-    with pytest.raises(pc.ProtochainError, match="belongs to another run"):
+    with expect_refusal("force", match="another run"):
         run_frames(ensemble, chosen.without_first(1), RELAX, table, stopped, resume=True)
-    with pytest.raises(pc.ProtochainError, match="belongs to another run"):
+    with expect_refusal("force", match="another run"):
         run_frames(ensemble, chosen, RELAX, table, resume=True)
     stopped.unlink()
-    with pytest.raises(pc.ProtochainError, match="is incomplete"):
+    with expect_refusal("force", match="is incomplete"):
         run_frames(ensemble, chosen, RELAX, table, stopped, resume=True)
 
 

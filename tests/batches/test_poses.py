@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -165,7 +166,7 @@ def test_one_pose_is_scored_without_moving_an_atom(poses, tmp_path):
         for path in (out, alone)
     ]
     assert atoms[0] == atoms[1] and "LIG" in out.read_text() and "LIG" not in alone.read_text()
-    with pytest.raises(pc.ProtochainError, match=r"p\.pdb.*exists"):
+    with expect_refusal("force", match=r"p\.pdb.*exists"):
         run(*given)
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import typer.main
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, STRUCTURES, load
 
 import protochain as pc
@@ -121,7 +122,7 @@ def test_a_setup_reads_the_words_of_the_command_line():
     ):  # fmt: skip
         with pytest.raises(pc.ProtochainError, match=why):
             pc.Setup(**wrong)
-    with pytest.raises(pc.ProtochainError, match="model all: only one model"):
+    with expect_refusal("model"):
         pc.Setup(model="all").prepare(SAMPLE)
 
 

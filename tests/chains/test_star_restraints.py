@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
@@ -384,5 +385,5 @@ def test_every_restraint_is_in_the_table_worst_first(tmp_path, capsys, command):
         sorted((v.violation for v in expected), reverse=True), abs=2e-3
     )
     assert s.n_atoms == end.n_atoms
-    with pytest.raises(pc.ProtochainError, match="restraint_csv requires"):
+    with expect_refusal("restraint_csv", "restraints"):
         run(*given[:2], "-o", out, "--restraint-csv", table, "--force")

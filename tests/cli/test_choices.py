@@ -6,6 +6,7 @@ import re
 import gemmi
 import numpy as np
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
@@ -72,7 +73,7 @@ def test_models_are_a_number_a_range_or_all(given, kept):
 
 @pytest.mark.parametrize("given", ["one", "5-1", "1-", "-3", "1,,2", "1-2-3", "1-9999999", "1.5"])
 def test_models_that_make_no_sense_are_refused(given):
-    with pytest.raises(pc.ProtochainError, match=r"^model '.*': give .* a range such as 1-5"):
+    with expect_refusal("model", match="'.*'"):
         pc.Setup(model=given)
 
 

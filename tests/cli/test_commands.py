@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 from fixtures.command_line import refusal, run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 from protochain.chains.setup import Setup
@@ -96,7 +97,7 @@ def test_options_make_a_setup():
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
     only = setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
     assert only == ("none", ("A:3", "A:40")) == setup(disulfide=["none", "A:3-A:40"]).disulfide
-    with pytest.raises(ProtochainError, match='names no bond; remove it, or disulfide="none" drops'):
+    with expect_refusal("disulfide", "disulfide", match='disulfide="none"'):
         Setup(disulfide=())
 
 

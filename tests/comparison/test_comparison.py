@@ -7,9 +7,11 @@ import pytest
 from fixtures.repairs import noted
 from fixtures.samples import chain, energy, load
 from fixtures.tolerances import PDB_ROUNDING_NM
+from matplotlib.figure import Figure
 from openmm import app, unit
 
 import protochain as pc
+from protochain.comparison import plots
 from protochain.core import defaults
 from protochain.results.columns import Column, heading
 from protochain.results.viewer import library
@@ -322,3 +324,19 @@ def test_work_is_what_it_took_to_come_near(comparison, folder):
     assert (
         work.loc["lbfgs", "evaluations_within_1_kj_mol"] > work.loc["lbfgs", "evaluations_within_10_kj_mol"]
     )
+
+
+@pytest.mark.parametrize("plot", [plots.plot_energy, plots.plot_torque])
+@pytest.mark.parametrize("value", [10.0, -np.inf])
+def test_a_title_is_above_all_panels_or_above_the_first_axes_of_the_user(plot, value):
+    """Also of a figure without curves, which a torque below 0 or an infinite energy makes."""
+    traces = pd.DataFrame(
+        {"method": "kcm", "evaluations": [1, 2], "seconds": [0.1, 0.2], "energy_kj_mol": value,
+         "max_torque_kj_mol_rad": value}
+    )  # fmt: skip
+    whole = plot(traces, "ala")
+    assert whole.get_suptitle().startswith("ala: ") and not whole.axes[0].get_title()
+    axes = Figure().subplots(1, 2)
+    mine = plot(traces, "ala", axes)
+    assert mine is axes[0].figure and not mine.get_suptitle()
+    assert axes[0].get_title().startswith("ala: ") and not axes[1].get_title()

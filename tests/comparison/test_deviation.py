@@ -6,11 +6,13 @@ import gemmi
 import numpy as np
 import pytest
 from fixtures.command_line import refusal, run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import RMSD_ANGSTROM
 
 import protochain as pc
 from protochain.comparison.deviation import deviation, rmsd_table
+from protochain.core.errors import Fault
 from protochain.structure.formats.files import parse
 from protochain.structure.matching import alpha_trace, match
 from protochain.structure.superpose import rmsd
@@ -153,7 +155,7 @@ def test_a_c_alpha_trace_is_measured_against_a_whole_file_either_way(tmp_path):
         assert row["tm_score"] > 0.95
     assert rmsd_table(path, [path]).iloc[0]["rmsd_angstrom"] < 1e-9
     assert "no atom of 'name CB'" in rmsd_table(STRUCTURES / "1ubq.pdb", [path], "name CB").iloc[0]["message"]
-    with pytest.raises(pc.ProtochainError, match="holds only C-alpha atoms"):
+    with expect_refusal(fault=Fault.ONLY_ALPHA):
         pc.load(path)
 
 

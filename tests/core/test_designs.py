@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -69,16 +70,16 @@ def test_records_of_equal_length_are_chains_or_designs_as_stated(tmp_path, capsy
     path = tmp_path / "x.fa"
     path.write_text(NAMED)
     for call in (lambda: sequences(path, "sequence"), lambda: pc.Setup(sequence=path)):
-        with pytest.raises(pc.ProtochainError, match=r"give .*x.fa#chains or .*x.fa#designs"):
+        with expect_refusal("sequence"):
             call()
     assert "x.fa#designs" in refusal("mutate", STRUCTURES / "ala10.pdb", "--sequence", path)
     assert sequences(f"{path}#chains", "sequence") == "first=ACD/second=ACE"
     assert sequences(f"{path}#designs", "sequence") == f"{path}#designs"
     assert designs(f"{path}#designs") == [("first_x", "ACD"), ("second", "ACE")]
     assert designs(f"{path}#chains") == designs(f"{path}#2") == []
-    with pytest.raises(pc.ProtochainError, match=r"has 2 records; choose one as .*x.fa#2"):
+    with expect_refusal("sequence", match=".*x.fa#2"):
         pc.Setup(sequence=f"{path}#designs").load(STRUCTURES / "ala10.pdb")
-    with pytest.raises(pc.ProtochainError, match="has 2 records"):
+    with expect_refusal("sequence", match="has 2 records"):
         sequences(f"{path}#0", "sequence")
     path.write_text(LIGAND_MPNN)
     assert sequences(f"{path}#chains", "sequence") == "GGG/GG/ACD/EF/ACD/EG"

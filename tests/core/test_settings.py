@@ -4,6 +4,7 @@ import inspect
 from dataclasses import dataclass, field
 
 import pytest
+from fixtures.refusals import expect_refusal
 from numpydoc.docscrape import FunctionDoc
 
 import protochain as pc
@@ -127,5 +128,5 @@ def test_a_former_keyword_is_accepted_with_a_warning_that_names_the_new_one(take
     assert len(seen) == 1 and seen[0].filename == __file__
     with pytest.raises(TypeError, match="'restraint'"):
         function(restraint="500", restraints="400")
-    with pytest.warns(DeprecationWarning), pytest.raises(pc.ProtochainError, match="use one start"):
+    with pytest.warns(DeprecationWarning), expect_refusal("restraints", "max_rmsd"):
         pc.explore(None, n_starts=2, restraint="500")

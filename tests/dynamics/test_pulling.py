@@ -4,6 +4,7 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
@@ -333,7 +334,7 @@ def test_two_places_are_read_as_they_are_meant(between, read):
     "between", ["", "A:1:N", "A:1:N A:20:C", "resid 5", ("A:1:N",), ("a", "b", "c"), 5, None]
 )
 def test_other_than_two_places_is_refused(between):
-    with pytest.raises(pc.ProtochainError, match="give two atoms, as A:1:N-A:20:C") as refused:
+    with expect_refusal("between", match="A:1:N-A:20:C") as refused:
         pc.Pull(between)
     assert "\n" not in str(refused.value)
 

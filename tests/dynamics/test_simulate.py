@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import COMMAND, run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF_NM
 from fixtures.waiting import HANG, until
@@ -19,6 +20,7 @@ from scipy.stats import kstest
 
 import protochain as pc
 from protochain.chains.contacts import overlaps
+from protochain.core.errors import Fault
 from protochain.core.settings import settings_of
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, System, closure_of, simulate
@@ -150,7 +152,7 @@ def test_heavy_hydrogens_take_their_mass_from_what_they_are_bonded_to():
     rotor = next(b for b, h in zip(heavy.hinge_body, heavy.hinges, strict=True) if h.kind == "rotor")
     assert heavy.tree.rigid[rotor, 9] == pytest.approx(4.0 / 1.008 * light.tree.rigid[rotor, 9], rel=1e-3)
     for wrong in (0.0, -1.0, 6.0, np.nan):
-        with pytest.raises(pc.ProtochainError, match="hydrogen_mass"):
+        with expect_refusal("hydrogen_mass"):
             pc.build_chain(s, hydrogen_mass=wrong)
     m = simulate(light, energy("1l2y.pdb"), n_steps=5, hydrogen_mass=3.0)
     assert m.chain.hydrogen_mass == 3.0
@@ -189,7 +191,7 @@ def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name
 def test_a_loop_too_far_away_to_close_says_so():
     s = chain("3i40.pdb").structure
     c = pc.build_chain(s.with_positions(s.positions + 1e5), root="free")
-    with pytest.raises(pc.ProtochainError, match=r"closed .* nm from the origin, .*; move the structure"):
+    with expect_refusal(fault=Fault.FAR):
         simulate(c, lambda x: (0.0, np.zeros_like(x)), n_steps=2, time_step=0.001, loops="closed")
 
 
@@ -336,9 +338,9 @@ def test_a_damaged_checkpoint_is_refused_part_by_part(tmp_path):
 
 def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
     simulate(*small, n_steps=20, every=10, output=tmp_path)
-    with pytest.raises(pc.ProtochainError, match="contains a simulation"):
+    with expect_refusal("resume", "force", match="contains a simulation"):
         simulate(*small, n_steps=40, every=10, output=tmp_path)
-    with pytest.raises(pc.ProtochainError, match=r"temperature 300\.0, not 310\.0"):
+    with expect_refusal("temperature", match=r"300\.0, not 310\.0"):
         simulate(*small, temperature=310.0, n_steps=40, every=10, output=tmp_path, resume=True)
     c, e, q = small
     moved = pc.build_chain(c.structure.with_positions(pc.pose(c, q + 0.1).x))
@@ -365,9 +367,9 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
         path.write_bytes(whole)
     again = simulate(*small, n_steps=40, every=10, output=tmp_path, force=True)
     assert len(again.trace) == 5
-    with pytest.raises(pc.ProtochainError, match="no checkpoint"):
+    with expect_refusal("resume", match="no checkpoint"):
         simulate(*small, n_steps=40, output=tmp_path / "none", resume=True)
-    with pytest.raises(pc.ProtochainError, match="output"):
+    with expect_refusal("resume", match="output"):
         simulate(*small, n_steps=40, resume=True)
 
 

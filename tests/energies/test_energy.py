@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import openmm
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.tolerances import SAME_KERNEL
 from openmm import app
@@ -175,7 +176,7 @@ def test_what_openmm_evaluates_is_a_boolean_and_not_just_a_name(value, tmp_path)
     root = ElementTree.fromstring(
         f'<ForceField><NonbondedForce useDispersionCorrection="{value}"/></ForceField>'
     )
-    with pytest.raises(pc.ProtochainError, match="would run as Python: give True or False"):
+    with expect_refusal("trust_forcefield", match="True or False"):
         untrusted.check_passive(tmp_path, root)
 
 
@@ -246,7 +247,7 @@ def test_a_file_in_the_working_directory_never_stands_in_for_openmms_own(tmp_pat
     _amber.cache_clear()
     fresh = pc.energy(pc.load(STRUCTURES / "ala10.pdb"))
     assert fresh.fingerprint == energy("ala10.pdb").fingerprint
-    with pytest.raises(pc.ProtochainError, match="<Script>"):
+    with expect_refusal("trust_forcefield", match="<Script>"):
         pc.energy(load("ala10.pdb"), forcefield="amber14/protein.ff14SB.xml")
 
 
@@ -404,5 +405,5 @@ def test_nonbonded_terms_are_for_methods_that_only_turn_hinges():
             pc.minimise(structure, energy, method)
     with pytest.raises(pc.ProtochainError, match="twist peptide bonds"):
         pc.relax(structure, terms="nonbonded")
-    with pytest.raises(pc.ProtochainError, match="'bonded'"):
+    with expect_refusal("terms", match="'bonded'"):
         pc.energy(structure, terms="bonded")

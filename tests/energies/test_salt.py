@@ -6,6 +6,7 @@ import json
 import pandas as pd
 import pytest
 from fixtures.command_line import run as command
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, load
 from fixtures.tolerances import NATIVE_ENERGY
 from openmm import unit
@@ -54,7 +55,7 @@ def test_what_has_no_meaning_is_refused_in_one_line(options, words):
 
 def test_salt_of_a_system_is_refused():
     s = load("ala10.pdb")
-    with pytest.raises(ProtochainError, match="build the System with implicitSolventKappa"):
+    with expect_refusal("salt"):
         pc.energy(s, system=pc.energy(s).system, salt=0.15)
 
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.bending_trees import KINDS, some
+from fixtures.refusals import expect_refusal
 from fixtures.slow_mechanics import random_q
 from fixtures.tolerances import round_off
 
-from protochain.core.errors import BodyError
+from protochain.core.errors import BodyError, Fault
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4, System
 from protochain.mechanics.multibody import (
     HingeKind,
@@ -159,7 +160,7 @@ def test_a_rotor_resists_where_nothing_else_does():
         np.array([-1]), np.array([HingeKind.REVOLUTE]), np.zeros((1, 3)), np.eye(3)[None], np.ones(1),
         np.array([[0, 0, 0.5]]), np.diag([1.0, 1.0, 0.0])[None],
     )  # fmt: skip
-    with pytest.raises(BodyError, match="no inertia"):
+    with expect_refusal(fault=Fault.NO_INERTIA, kind=BodyError):
         Tree(*needle)
     tree = Tree(*needle, armature=np.array([0.25]))
     assert forward_dynamics(tree, np.zeros(1), np.ones(1), np.ones(1)) == pytest.approx([4.0])

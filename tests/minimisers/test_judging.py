@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.core.errors import ProtochainError
 from protochain.energies.native.evaluation import Evaluation
 from protochain.minimisers.judging import CachedEnergy
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -134,7 +134,7 @@ def test_judges_have_names_and_threads_of_their_own():
     assert asked == [False] * 3
     itself = Counting(None)
     assert CachedEnergy(itself).judge_at(points()[0])[0] == 7.0
-    with pytest.raises(ProtochainError, match="choose from auto, reference"):
+    with expect_refusal("judge"):
         pc.minimise(STRUCTURES / "ala10.pdb", judge="me")
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, chain, energy, load
 from fixtures.texts import DOCS, blocks
 
@@ -157,5 +158,5 @@ def test_what_is_no_method_is_refused():
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), 7)
     with pytest.raises(TypeError, match="'restrain'"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restrain=100.0)
-    with pytest.raises(pc.ProtochainError, match="1000 100 0"):
+    with expect_refusal("restraints", match="1000 100 0"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restraints="strong")

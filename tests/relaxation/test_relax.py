@@ -10,6 +10,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures import models
+from fixtures.refusals import expect_refusal
 from fixtures.samples import energy, load, shared
 from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
 
@@ -203,9 +204,9 @@ def test_design_goes_through_three_stages_and_ends_free(damaged):
 
 def test_the_protocol_has_its_own_force_field():
     s = load("1l2y.pdb")
-    with pytest.raises(pc.ProtochainError, match="solvent gbn2: protocol alphafold is vacuum"):
+    with expect_refusal("solvent", "protocol", match="gbn2"):
         pc.relax(s, protocol="alphafold", solvent="gbn2")
-    with pytest.raises(pc.ProtochainError, match="preset design: protocol alphafold has its own"):
+    with expect_refusal("preset", "protocol"):
         pc.relax(s, "design", protocol="alphafold")
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fixtures.refusals import expect_refusal
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scipy.spatial.transform import Rotation
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from bench.soil.box_volume import WHOLE, box_in_box, overlap
 from bench.soil.parts import Law
 from bench.soil.pile import Pile
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 
 EDGE, MASS = 0.05, 0.2
 SPACE = tuple(np.empty(shape) for shape in ((12, 7), (12, 7), (8, 8), (8, 8)))
@@ -104,5 +105,5 @@ def test_boxes_that_touch_do_not_press_and_one_within_another_has_no_way_out():
         assert box_in_box(*one, *box([x, 0, 0], np.eye(3), half), *SPACE)[0] == 0
     turned = Rotation.from_euler("xyz", [0.3, 0.2, 0.1]).as_matrix()
     assert box_in_box(*box([0.01, 0, 0], turned, 0.1 * half), *one, *SPACE)[1] == WHOLE
-    with pytest.raises(MechanicsError, match="cube 0 lies in cube 1, more than half"):
+    with expect_refusal(fault=Fault.OVERLAP, kind=MechanicsError, match="cube 0 lies in cube 1"):
         Pile([EDGE, EDGE], [MASS, MASS], Law(1e6, 0.0, by="volume"), np.zeros(3)).start(np.zeros((2, 3)))

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.refusals import expect_refusal
 
 import protochain as pc
 from protochain.batches import cluster
@@ -99,7 +100,7 @@ def test_a_process_that_fails_again_and_again_ends_the_search_and_keeps_what_the
     peptide, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(cluster, "supervise", lambda job, *_: job.lost([], "killed", "memory ran out", 1.0))
-    with pytest.raises(pc.ProtochainError, match=r"walker [01]: memory ran out; .*resume=True"):
+    with expect_refusal("resume", match=r"walker [01]: memory"):
         pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=1, **SMALL)
 
 
@@ -154,7 +155,7 @@ def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(metho
             assert 30.0 < np.degrees(held.values(x)[0]) < 90.0
     assert found.minima["free_energy_kj_mol"].isna().all()
     assert json.loads((tmp_path / "s" / "summary.json").read_text())["restraint"] == [line]
-    with pytest.raises(pc.ProtochainError, match="restraint"):
+    with expect_refusal("restraint"):
         pc.search(*peptide, method, 9000, resume=True, **{**given, "restraints": ()})
 
 
@@ -267,10 +268,10 @@ def test_pieces_are_read_as_they_were_written(peptide, tmp_path):
     for name, value in vars(state).items():
         assert np.array_equal(getattr(again, name), value) and type(getattr(again, name)) is type(value)
     assert np.array_equal(its.minima, found.minima)
-    with pytest.raises(pc.ProtochainError, match="seed 0, not 1"):
+    with expect_refusal("seed", match="0, not 1"):
         read_piece(tmp_path / "a.npz", method.state, {"search": "tempering", "seed": 1})
     (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:-200])
-    with pytest.raises(pc.ProtochainError, match=r"is not a checkpoint of a search; .*force"):
+    with expect_refusal("force", match="a search"):
         read_piece(tmp_path / "a.npz", method.state, {"search": "tempering"})
 
 
@@ -323,26 +324,26 @@ def test_settings_that_make_no_sense_are_refused(name, value, peptide):
 
 
 def test_folders_are_neither_replaced_nor_continued_by_mistake(peptide, tmp_path):
-    with pytest.raises(pc.ProtochainError, match="give the folder"):
+    with expect_refusal("resume", match="give the folder"):
         pc.search(*peptide, resume=True)
-    with pytest.raises(pc.ProtochainError, match="contains no search to resume"):
+    with expect_refusal("resume", match="to resume"):
         pc.search(*peptide, output=tmp_path, resume=True)
     pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1)
-    with pytest.raises(pc.ProtochainError, match="contains a search; resume=True"):
+    with expect_refusal("resume", "force", match="contains a search"):
         pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1)
-    with pytest.raises(pc.ProtochainError, match="seed 0, not 1"):
+    with expect_refusal("seed", match="0, not 1"):
         pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1, seed=1, resume=True)
     again = pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1, seed=1, force=True)
     assert again.settings.seed == 1
     first = tmp_path / "pieces" / "walker-0" / "000000.npz"
     first.rename(first.with_name("000001.npz"))
-    with pytest.raises(pc.ProtochainError, match="the piece before it is missing"):
+    with expect_refusal("force", match="is missing"):
         pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1, seed=1, resume=True)
 
 
 def test_only_one_chain_by_itself_is_searched():
     two = pc.load("structures/3i40.pdb")
-    with pytest.raises(pc.ProtochainError, match=r"a single chain.*chains=\"A\" and keep=\"none\""):
+    with expect_refusal("chains", "keep", match='chains="A"'):
         pc.search(two, evaluations=10)
 
 
@@ -355,7 +356,7 @@ def test_numbers_of_minima_are_those_found(whole):
 
 def test_energies_of_a_caller_are_searched_or_refused(peptide):
     chain, energy = peptide
-    with pytest.raises(pc.ProtochainError, match="cannot be sent to processes"):
+    with expect_refusal("energy", "workers"):
         pc.search(chain, lambda x: energy(x), "hopping", 60, n_walkers=1, workers=1)
     with pytest.raises(pc.ProtochainError, match="no descent ended at a finite energy"):
         pc.search(chain, lambda x: (np.nan, np.nan * x), "hopping", 60, n_walkers=1)
@@ -405,7 +406,7 @@ def test_a_search_outlives_lost_pieces_in_a_row_but_not_the_same_for_ever(lost, 
     if lost == 4:
         assert not search()
     else:
-        with pytest.raises(pc.ProtochainError, match="walker 1: killed"):
+        with expect_refusal("resume", match="walker 1: killed"):
             search()
     assert ends.count(1) == 5 and found == [0, 1][: 6 - lost]
 
@@ -445,7 +446,7 @@ def test_a_search_goes_on_in_the_precision_in_which_it_began(peptide, tmp_path):
     chain = peptide[0]
     single = pc.energy(chain.structure, solvent="vacuum", engine="openmm", threads=1)
     pc.search(chain, single, "hopping", 100, output=tmp_path, n_walkers=1)
-    with pytest.raises(pc.ProtochainError, match="double_precision False, not True"):
+    with expect_refusal("double_precision", match="not True"):
         pc.search(chain, single.reference, "hopping", 200, output=tmp_path, n_walkers=1, resume=True)
 
 

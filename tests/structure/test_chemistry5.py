@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT
 
 import protochain as pc
@@ -43,7 +44,7 @@ def test_phosphorothioates_of_a_strand():
 
 
 def test_six_neighbours_are_refused():
-    with pytest.raises(ForceFieldError, match="6 neighbours"):
+    with expect_refusal("forcefield", kind=ForceFieldError, match="6 neighbours"):
         pc.ligand(FOLDER / "pf6.sdf")
 
 

@@ -7,6 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 from fixtures.frames import models, saved, shaken, trajectory
+from fixtures.refusals import expect_refusal
 from fixtures.samples import load
 from fixtures.tolerances import IDEAL_NM, PDB_NM, SINGLE_NM, XTC_NM
 
@@ -200,7 +201,7 @@ def test_frames_are_chosen_as_python_has_it(asked, chosen):
 
 @pytest.mark.parametrize("asked", ["", "abc", "1:2:3:4", "::0", "1,3", ":::", "1.5", "--1"])
 def test_what_chooses_no_frames_is_refused(asked):
-    with pytest.raises(pc.ProtochainError, match="START:STOP:STEP"):
+    with expect_refusal("frames"):
         frame_slice(asked, "frames")
 
 

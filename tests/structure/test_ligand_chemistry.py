@@ -10,6 +10,7 @@ import openmm
 import pytest
 from fixtures.command_line import run
 from fixtures.oracles import assert_equals_reference
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
@@ -380,9 +381,9 @@ def test_a_rigid_protein_without_a_pose_is_one_around_its_ligands(tmp_path):
     r = pc.relax(s, rigid_protein=True)
     away = np.linalg.norm(r.x - s.positions, axis=1) > 0.0
     assert np.array_equal(np.flatnonzero(away), np.sort(s.ligands[0].atoms))
-    with pytest.raises(pc.ProtochainError, match="rigid_protein"):
+    with expect_refusal("rigid_protein", "move"):
         pc.Setup(rigid_protein=True, move="sidechain")
-    with pytest.raises(pc.ProtochainError, match="no ligand"):
+    with expect_refusal("ligands", match="no ligand"):
         pc.relax(PROTEIN, rigid_protein=True)
 
 

@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 from fixtures import covalent
 from fixtures.command_line import refusal, run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.ligands.molecule import to_rdkit
+from protochain.ligands.sources import of_residue
 from protochain.ligands.tables import stereo
 from protochain.structure.molecule.repairs import Kind
 
@@ -74,6 +76,24 @@ def test_the_chemistry_written_is_read_again(tmp_path, kind, suffix):
     assert read.inverted == bound.inverted == ()
     terms, before = read.ligand.terms(s.positions[read.atoms]), bound.ligand.terms(s.positions[bound.atoms])
     assert terms == pytest.approx(before, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("charge", "total"), [("-1", -1), ("?", 0)])
+def test_a_table_with_charges_goes_before_the_dictionary_and_one_without_after(charge, total):
+    """A file has acetate under the dictionary's name of acetic acid. Its atoms have no charges elsewhere."""
+    orders = {"CH3 C": "sing", "C O": "doub", "C OXT": "sing"}
+    atoms = {"C": "C", "O": "O", "OXT": "O", "CH3": "C"}
+    rows = [f"ACY {name} {symbol} {charge if name == 'OXT' else '?'}" for name, symbol in atoms.items()]
+    tables = {
+        "atom": ("comp_id atom_id type_symbol charge", rows),
+        "bond": ("comp_id atom_id_1 atom_id_2 value_order", [f"ACY {b} {o}" for b, o in orders.items()]),
+    }
+    header = "data_x\n" + "".join(
+        "loop_\n" + "".join(f"_chem_comp_{table}.{name}\n" for name in names.split()) + "\n".join(rows) + "\n"
+        for table, (names, rows) in tables.items()
+    )
+    molecule = of_residue("ACY", header, {name: (symbol, 0) for name, symbol in atoms.items()})
+    assert molecule.formal_charges.sum() == total
 
 
 @pytest.mark.parametrize("kind", SMILES)
@@ -222,7 +242,7 @@ def test_a_result_adds_fields_once(tmp_path):
 
 
 def test_ligands_that_are_not_there_are_no_file(tmp_path):
-    with pytest.raises(pc.ProtochainError, match="no ligand"):
+    with expect_refusal("ligands", match="no ligand"):
         pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.sdf")
     with pytest.raises(pc.ProtochainError, match="sdf"):
         pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.mol2")

@@ -8,6 +8,7 @@ import openmm
 import pytest
 from fixtures.modified import component
 from fixtures.oracles import assert_equals_reference
+from fixtures.refusals import expect_refusal
 from fixtures.tolerances import READ_AGAIN
 from scipy.spatial.transform import Rotation
 
@@ -224,7 +225,7 @@ def test_a_term_of_an_atom_that_the_structure_lacks_is_refused(tmp_path):
     (made,) = s.fragments
     lacking = np.where(np.array(made.ligand.molecule.names) == "ALA:H", -1, made.atoms)
     object.__setattr__(made, "atoms", lacking)
-    with pytest.raises(pc.ProtochainError, match="ALA:H has terms of a bond between residues"):
+    with expect_refusal("standard_residues", match="between residues"):
         build_system(s, "amber14", "vacuum")
 
 

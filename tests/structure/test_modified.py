@@ -5,6 +5,7 @@ import openmm
 import pytest
 from fixtures import covalent
 from fixtures.modified import component, modified
+from fixtures.refusals import expect_refusal
 
 import protochain as pc
 from protochain.core import optional_libraries
@@ -172,7 +173,7 @@ def test_its_side_chain_turns_but_not_its_amide(tmp_path):
 def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     s = made("M3L", tmp_path, standard_residues=True)
     assert s.residue_name[2] == "LYS" and s.losses[0].why is Reason.ASKED
-    with pytest.raises(pc.ProtochainError, match="standard_residues=True"):
+    with expect_refusal("standard_residues", match="standard_residues=True"):
         pc.energy(made("M3L", tmp_path), "charmm36")
 
     def absent(name):

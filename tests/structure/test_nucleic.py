@@ -6,6 +6,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.oracles import assert_equals_reference
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -191,7 +192,7 @@ def test_a_batch_takes_dna_alone_which_has_neither_alpha_carbons_nor_amino_acids
 
 
 def test_of_dna_alone_that_is_not_kept_nothing_is_left_and_a_trace_is_no_strand(tmp_path):
-    with pytest.raises(pc.ProtochainError, match="8 residues DC") as refused:
+    with expect_refusal("keep", match="8 residues DC") as refused:
         pc.load(STRUCTURES / "1bna.pdb", keep="none")
     assert refused.value.parts[-1].name == "keep"
     text = (STRUCTURES / "1bna.pdb").read_text().splitlines(True)

@@ -4,6 +4,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.modified import modified
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -114,7 +115,7 @@ def test_else_it_becomes_its_parent_and_the_loss_says_why(site, gone, why, tmp_p
 
 
 def test_a_force_field_without_parameters_is_refused_with_the_remedy(path):
-    with pytest.raises(pc.ProtochainError, match="standard_residues=True"):
+    with expect_refusal("standard_residues", match="standard_residues=True"):
         pc.energy(pc.load(path), "amber99sb")
     pc.energy(pc.load(path, standard_residues=True), "amber99sb")
 

@@ -5,6 +5,7 @@ import io
 import sys
 
 import pytest
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
@@ -55,7 +56,7 @@ def test_without_the_package_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "propka.run", None)
     with pytest.raises(pc.ProtochainError, match=r'^propka .* pip install "protochain\[pka\]"$'):
         pc.load(STRUCTURES / "1hel.pdb", ph="auto")
-    with pytest.raises(pc.ProtochainError, match="give a number"):
+    with expect_refusal("ph"):
         pc.load(STRUCTURES / "1hel.pdb", ph="some")
 
 

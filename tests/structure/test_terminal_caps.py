@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.command_line import run
+from fixtures.refusals import expect_refusal
 from fixtures.samples import STRUCTURES, shared
 from fixtures.tolerances import CAP_ANGLE_RAD, CAP_BOND_NM, CAP_PLACE_NM, PDB_NM, PDB_ROUNDING_NM, READ_AGAIN
 from openmm import app, unit
@@ -219,7 +220,7 @@ def test_a_break_at_a_residue_alone_has_no_charged_termini(tmp_path):
 
 def test_a_force_field_without_caps_is_refused_with_the_option(tmp_path):
     s = pc.load(cut(tmp_path / "cut.pdb", 16, 17, 18), cap="breaks")
-    with pytest.raises(pc.ProtochainError, match=r'charmm36.*cap="none"'):
+    with expect_refusal("cap", match='charmm36.*cap="none"'):
         pc.energy(s, "charmm36")
 
 

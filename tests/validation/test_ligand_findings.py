@@ -130,6 +130,15 @@ def test_posebusters_tests_are_those_of_its_own_reader(tmp_path):
         assert ("minimum_distance_to_protein" in found.failed) == bool(closer)
 
 
+def test_a_relaxation_runs_posebusters_at_the_start_as_at_the_end(tmp_path):
+    pytest.importorskip("posebusters")
+    s = pc.load(PROTEIN, ligands=posed(tmp_path))
+    for asked in (False, True):
+        relaxed = pc.relax(s, posebusters=asked, max_iterations=3, solvent="vacuum", move="ligand")
+        for found in (*relaxed.ligands_start, *relaxed.ligands_end):
+            assert (found.posebusters is not None) is asked
+
+
 def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, monkeypatch, capsys):
     pose = posed(tmp_path)
     monkeypatch.setitem(__import__("sys").modules, "posebusters", None)

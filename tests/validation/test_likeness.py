@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 from fixtures.molecules import shaken
+from fixtures.refusals import expect_refusal
 from fixtures.samples import load, shared
 from fixtures.tolerances import RMSD_ANGSTROM
 from scipy.spatial.transform import Rotation
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.comparison.deviation import deviation
 from protochain.core.arrays import means_by
+from protochain.core.errors import Fault
 from protochain.validation import LIKENESS, likeness
 from protochain.validation.likeness import _TWINS
 
@@ -134,7 +136,7 @@ def test_a_reference_of_c_alphas_alone_is_enough():
     values = ubiquitin.measures
     assert values["lddt"] == values["lddt_ca"] > 0.5 and values["matched_percent"] > 90.0
     assert values["ca_rmsd_to_reference_angstrom"] == values["heavy_rmsd_to_reference_angstrom"]
-    with pytest.raises(pc.ProtochainError, match="C-alpha"):
+    with expect_refusal(fault=Fault.ONLY_ALPHA):
         pc.validate(shared("ubiquitin_ca_only.pdb"))
 
 
