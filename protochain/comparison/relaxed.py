@@ -16,8 +16,10 @@ from protochain.results.figures import data_url
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
+from protochain.structure import Structure
 from protochain.structure.molecule.repairs import loss_lines
 from protochain.validation.bonding import hydrogen_bonds
+from protochain.validation.clashes import clash_discs
 from protochain.validation.findings import Findings
 
 
@@ -29,10 +31,11 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         {name: difference.residues for name, difference in changes.items()}, relaxation.start.name
     )
     bonds = hydrogen_bonds(relaxation.structure)[:, [0, 2]] if relaxation.start.ligands else _NO_PAIRS
+    named = named_residues(relaxation, changes)
     write_page(
         path,
         "relaxed.html",
-        named=named_residues(relaxation, changes),
+        named=named,
         record=record,
         rows=before_and_after(record),
         terms=energies_by_term({"end": record}),
@@ -44,7 +47,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         name=strength.name,
         source=strength.source,
         pockets=pockets(relaxation.start, bonds, relaxation.start.positions, relaxation.x),
-        **viewer_scene(relaxation, changes),
+        **viewer_scene(relaxation, changes, _focus(relaxation.start, named)),
     )
 
 
@@ -101,7 +104,18 @@ def _outliers(findings: Findings) -> dict[str, set[int]]:
     }
 
 
-def viewer_scene(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:
+def _focus(structure: Structure, named: Mapping[str, list[tuple[str, str]]]) -> str:
+    """Key of the residue that the viewer shows first: a ligand, else the first that is named."""
+    if structure.ligands:
+        ligand = max(structure.ligands, key=lambda ligand: ligand.posed)
+        return str(residue_keys(structure)[structure.atom_residue[ligand.atoms[0]]])
+    return next((residues[0][0] for residues in named.values()), "")
+
+
+def viewer_scene(
+    relaxation: Relaxation, changes: Mapping[str, Differences] = {}, focus: str = ""
+) -> dict[str, Any]:
     """Variables of the viewer's template, initially coloured by displacement."""
     ends = relaxation.ends()
-    return scene(ends, colourings(ends, relaxation.energy_function, changes), DISPLACEMENT)
+    coloured = colourings(ends, relaxation.energy_function, changes)
+    return scene(ends, coloured, DISPLACEMENT, clash_discs, focus)

@@ -1,6 +1,6 @@
 """Interactive viewer of reports and notebooks: superposed structures, drawn by 3Dmol.js."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
@@ -35,9 +35,16 @@ class Colouring:
 
 
 def scene(
-    shown: Mapping[str, Structure], colourings: Iterable[Colouring] = (), chosen: str = ""
+    shown: Mapping[str, Structure],
+    colourings: Iterable[Colouring] = (),
+    chosen: str = "",
+    discs: Callable[[Structure], tuple[Integers, Floats]] | None = None,
+    focus: str = "",
 ) -> dict[str, Any]:
-    """Variables of the viewer's template, with all structures superposed on the first."""
+    """Variables of the viewer's template, with all structures superposed on the first.
+
+    ``discs`` returns clashing pairs of atoms (n, 2) and their discs (n, 7), and ``focus`` is a residue's key.
+    """
     (first_name, first), *other_structures = shown.items()
     ends = {name: superpose(model, first) for name, model in other_structures}
     shifts = {name: model.positions - first.positions for name, model in ends.items()}
@@ -62,7 +69,18 @@ def scene(
         "colourings": scales,
         "chosen": next((k for k, model in enumerate(scales) if model["name"] == chosen), -1),
         "residues": _residues(first, suffix),
+        "discs": [_disc_rows(model, *discs(model)) for model in (first, *ends.values())] if discs else [],
+        "focus": focus,
     }
+
+
+_MOST_DISCS = 500
+
+
+def _disc_rows(structure: Structure, pairs: Integers, discs: Floats) -> list[list[Any]]:
+    """Rows for the viewer: seven numbers of a disc, and the keys of its two residues."""
+    names = residue_keys(structure)[structure.atom_residue[pairs[:_MOST_DISCS]]].tolist()
+    return [[*disc, *pair] for disc, pair in zip(np.round(discs, 2).tolist(), names, strict=False)]
 
 
 def residue_keys(structure: Structure) -> NDArray[np.str_]:

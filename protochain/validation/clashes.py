@@ -111,6 +111,22 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     return Clashes(read_only(pairs[order], np.int64), read_only(overlap[order]), structure.n_atoms)
 
 
+def clash_discs(structure: Structure) -> tuple[Integers, Floats]:
+    """Pairs (n, 2) of atoms that clash, and the discs (n, 7) where their spheres cross.
+
+    A disc has its centre, its normal and its radius, angstrom.
+    """
+    pairs = clashes(structure).pairs
+    x = _at_clouds(structure, ANGSTROM_PER_NM * structure.positions)[pairs]
+    first, second = _kinds(structure).radius[pairs].T
+    arm = x[:, 1] - x[:, 0]
+    distance = np.maximum(np.linalg.norm(arm, axis=1), 1e-6)
+    along = (distance**2 + first**2 - second**2) / (2.0 * distance)
+    normal = arm / distance[:, None]
+    radius = np.sqrt(np.maximum(first**2 - along**2, 0.0))
+    return pairs, np.column_stack([x[:, 0] + along[:, None] * normal, normal, radius])
+
+
 @dataclass(frozen=True, eq=False)
 class _Kinds:
     """Radii, donors and acceptors of hydrogen bonds, charges, hydrogens, their parents and bond lengths."""

@@ -16,6 +16,7 @@ from fixtures.waiting import until
 import protochain as pc
 from protochain.core.figure import Figure
 from protochain.results.page import table_data, templates
+from protochain.validation.clashes import clashes
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
@@ -163,6 +164,15 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     drawn = picture(page, "#pocket-viewer")[5:-5, 5:-5, :3]
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.003
     page.locator("#pocket-shown input").first.uncheck()
+    # The ligand is in focus, and the slider selects whose clashes are discs.
+    viewer = page.locator("#viewer")
+    assert viewer.get_attribute("data-at") == "B:1"
+    start = pc.load(protein, ligands=tmp_path / "pose.sdf")
+    page.locator("#between").fill("0")
+    assert viewer.get_attribute("data-discs") == f"{len(clashes(start).pairs)}"
+    page.locator("#discs").uncheck()
+    assert viewer.get_attribute("data-discs") == "0"
+    page.locator("#between").fill("1")
     # A name goes to its residue, in the first viewer that has it.
     name = page.locator("button.residue").first
     name.click()

@@ -10,7 +10,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.chains.contacts import bonded_pairs
-from protochain.validation.clashes import _at_clouds, _kinds, clashes
+from protochain.validation.clashes import _at_clouds, _kinds, clash_discs, clashes
 
 # Pairs with the radii, hydrogen bonds and excluded neighbours of this library, by the DotScorer of Probe 2
 # (mmtbx_probe_ext of cctbx-base 2025.11), all dots, as residue number and atom.
@@ -203,3 +203,15 @@ def test_memory_is_bounded_where_atoms_crowd():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100e6
+
+
+def test_the_rim_of_a_disc_is_on_both_spheres():
+    s = load("1hel.pdb")
+    pairs, discs = clash_discs(s)
+    centre, normal, radius = discs[:, :3], discs[:, 3:6], discs[:, 6]
+    assert np.array_equal(pairs, clashes(s).pairs) and (radius > 0.3).all()
+    across = np.cross(normal, [0.3, 0.5, 0.8])
+    rim = centre + radius[:, None] * across / np.linalg.norm(across, axis=1)[:, None]
+    x = _at_clouds(s, 10.0 * s.positions)
+    for atoms in pairs.T:
+        assert np.linalg.norm(rim - x[atoms], axis=1) == pytest.approx(_kinds(s).radius[atoms])

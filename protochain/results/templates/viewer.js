@@ -41,8 +41,12 @@ function makeViewer(id) {
     const atom = found.find((each) => each.atom === "CA") ?? found[0];
     viewer.removeAllLabels();
     label(atom, `${atom.resn} ${place}`);
-    viewer.addStyle({ predicate: (each) => placeOf(each) === place }, { stick: { radius: 0.12 } });
-    viewer.zoomTo({ predicate: (each) => placeOf(each) === place });
+    const at = { predicate: (each) => placeOf(each) === place };
+    const touches = (a) => found.some((b) => (a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2 < 16);
+    const near = new Set(viewer.selectedAtoms({}).filter(touches).map(placeOf));
+    viewer.addStyle({ predicate: (each) => near.has(placeOf(each)) }, { stick: { radius: 0.06 } });
+    viewer.addStyle(at, { stick: { radius: 0.15 } });
+    viewer.zoomTo(at);
     viewer.zoom(0.35);
     viewer.render();
     readout.textContent = `${atom.resn} ${place}`;
@@ -57,7 +61,7 @@ function makeViewer(id) {
   };
   const look = (at = {}) => { home = at; viewer.zoomTo(at); viewer.render(); };
   stages.push({ stage, jump });
-  return { viewer, box, attend, look, label };
+  return { viewer, box, attend, look, label, jump };
 }
 document.addEventListener("click", (event) => {
   const place = event.target.closest?.("[data-residue]")?.dataset.residue;
