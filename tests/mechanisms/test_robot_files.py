@@ -3,6 +3,7 @@
 import sys
 import warnings
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -251,6 +252,19 @@ def test_a_mechanism_goes_to_mjcf_and_back():
     m.body("g", 1.0, inertia=0.1)
     with pytest.raises(MechanicsError, match=r'hinge "w".*screw'):
         m.to_mjcf()
+
+
+@pytest.mark.parametrize(("rest", "written"), [(None, (0.5, 0.15)), (0.0, (0.0, 0.0)), (0.2, (0.2, 0.2))])
+def test_a_spring_at_rest_where_it_is_built_is_at_rest_there_in_mjcf(rest, written):
+    m = Mechanism()
+    for name in "ac":
+        m.body(name, mass=1.0, inertia=0.1)
+    m.hinge("h", "world", "a", axis=(0, 1, 0), q=0.5)
+    m.hinge("l", "a", "c", "prismatic", axis=(1, 0, 0), q=0.15)
+    m.torsion("t", "h", stiffness=2.0, rest=rest)
+    m.torsion("u", "l", stiffness=20.0, rest=rest)
+    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(m.to_mjcf()).iter("joint")}
+    assert tuple(float(joints[name].get("springref", 0.0)) for name in "hl") == written
 
 
 def test_loops_of_an_mjcf_close():
