@@ -33,6 +33,7 @@ from queue import Queue
 from xml.etree import ElementTree
 
 import coverage.numbits
+import pandas as pd
 import semantic_faults
 from scipy.stats import binomtest
 
@@ -419,13 +420,6 @@ def mutation_run(
             return list(pool.map(one, picked))
 
 
-def write(rows: list[dict[str, object]], path: Path) -> None:
-    with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="*", default=FOLDERS, help="these, or paths under protochain")
@@ -446,10 +440,13 @@ def main() -> None:
     for row in scores:
         print(row)
     if given.output:
-        given.output.mkdir(parents=True, exist_ok=True)
+        sys.path.insert(1, str(ROOT / "analysis" / "benchmarks"))
+        import made
+
         stem = "mutants_semantic" if semantic else "mutants"
-        write([asdict(fault) for fault in ended], given.output / f"{stem}.csv")
-        write(scores, given.output / f"{stem}_score.csv")
+        for name, rows in ((stem, [asdict(fault) for fault in ended]), (f"{stem}_score", scores)):
+            table = pd.DataFrame(rows).assign(commit=made.COMMIT)
+            made.write(table, given.output / f"{name}.csv", threads=given.jobs)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ UPDATES = {"append", "add", "update", "extend", "discard", "remove", "clear", "i
 CACHE = re.compile(r"cache|memo|lru|scratch|buffer")
 KEY = re.compile(r"(^|_)(key|keys|identity|digest|fingerprint)(_|$)")
 """Names of the key of a cache, and of what identifies a job."""
-COMMUTING = {"dot", "rmsd", "distance", "distances", "overlap", "isclose", "allclose", "hypot", "same"}
+COMMUTING = {"dot", "rmsd", "distance", "distances", "_differences", "overlap", "same"}
 """Functions of the package whose arguments may change places."""
 MESSAGES = re.compile(r"Error$|Warning$|^(refusal|warn|print|fail|Argument|Column|Option|setting)$")
 

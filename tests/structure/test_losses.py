@@ -1,6 +1,7 @@
 """Atoms of a file that are lost: values, counted, and told at the end of a run, in tables and on pages."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from protochain.batches.table import Tables, read_table
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
-from protochain.structure.molecule.repairs import Loss, Reason, loss_lines
+from protochain.structure.molecule.repairs import _ACTION, Kind, Loss, Rank, Reason, loss_lines
 from protochain.structure.write import as_text
 
 CHANGES = {
@@ -137,3 +138,11 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
         "lost atoms: D:1 QQQ; C:7 ALA; A:4 ALA OXT",
         'left out molecules further than 5 angstrom from the protein: B:1 SO4; keep="all" keeps them',
     ]
+
+
+def test_what_says_that_something_is_left_out_or_ignored_is_ranked_as_a_loss():
+    """It is then in the summary before all changes, and among the notes to act on."""
+    losses = {kind for kind in Kind if re.search("left out|ignored|of another configuration", kind.value.one)}
+    assert {kind for kind in losses if kind.value.rank > Rank.LOSS} == set()
+    silent = {kind for kind in losses if kind.value.rank is Rank.LOSS} - _ACTION
+    assert silent == {Kind.ALTERNATES}
