@@ -13,7 +13,7 @@ from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.templates import templates
 from protochain.structure.preparation.contacts import Spheres, score
 from protochain.structure.preparation.flips import choose_flips
-from protochain.structure.sidechains.assignment import eliminate_sites
+from protochain.structure.sidechains.assignment import site_elimination
 
 KNOWN = templates()
 
@@ -204,7 +204,7 @@ def test_elimination_gives_the_lowest_of_all_combinations():
         alone = sum(each[k] for each, k in zip(own, states, strict=True))
         return alone + sum(table[states[i], states[j]] for (i, j), table in pairs.items())
 
-    assert tuple(eliminate_sites(own, pairs)) == min(product(*map(range, sizes)), key=total)
+    assert tuple(site_elimination(pairs, sizes)(own)) == min(product(*map(range, sizes)), key=total)
 
 
 def of_dots(ends, stem, near):

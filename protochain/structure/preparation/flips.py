@@ -136,12 +136,12 @@ def _choose_states(
 ) -> Integers:
     """Return the states (n,) of lowest energy. The share of wrong sites sets the cost of a flip."""
     # Imported here: it imports numba, which would slow every start of the program.
-    from protochain.structure.sidechains.assignment import eliminate_sites
+    from protochain.structure.sidechains.assignment import site_elimination
 
-    share = _PRIOR_SHARE
+    choose, share = site_elimination(pairs, [len(energy) for energy in energies]), _PRIOR_SHARE
     for _ in range(_ROUNDS):
         cost = _SCALE * float(np.log((1.0 - share) / share))
-        states = eliminate_sites([e + cost * flip for e, flip in zip(energies, turned, strict=True)], pairs)
+        states = choose([e + cost * flip for e, flip in zip(energies, turned, strict=True)])
         gains = _gains(energies, pairs, turned, states)
         probability = 1.0 / (1.0 + np.exp((cost - gains) / _SCALE))
         counted = np.sort(probability)[:-_IGNORED_SITES]

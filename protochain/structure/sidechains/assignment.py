@@ -6,7 +6,7 @@ its tables are small enough, a component is solved by elimination of sites, as a
 Otherwise branch and bound applies both criteria again in every branch.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import prod
 from typing import NamedTuple
@@ -56,13 +56,22 @@ def assign_states(
     return Assignment(states, _energy(energies, pairs, states), not search.is_spent)
 
 
-def eliminate_sites(costs: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
-    """(n,) int: states of lowest energy by elimination of sites alone, for few states and loose networks."""
-    part = Part(
-        tuple(range(len(costs))), tuple(costs), tuple(np.arange(len(c)) for c in costs), dict(pairs), 0.0
-    )
-    states = _eliminate(part, _order(part)[0])[1]
-    return np.array([states[site] for site in range(len(costs))], dtype=np.int64)
+def site_elimination(
+    pairs: Mapping[tuple[int, int], Floats], n_states: Sequence[int]
+) -> Callable[[Sequence[Floats]], Integers]:
+    """Function from self energies to states (n,) of lowest energy, for few states and loose networks.
+
+    It eliminates sites alone, always in the same order.
+    """
+    sites, numbers = tuple(range(len(n_states))), tuple(map(np.arange, n_states))
+    part = Part(sites, tuple(map(np.zeros, n_states)), numbers, dict(pairs), 0.0)
+    order = _order(part)[0]
+
+    def choose(energies: Sequence[Floats]) -> Integers:
+        states = _eliminate(replace(part, energies=tuple(energies)), order)[1]
+        return np.array([states[site] for site in sites], dtype=np.int64)
+
+    return choose
 
 
 class _Search:
@@ -153,11 +162,18 @@ def _eliminate(part: Part, order: Sequence[int]) -> _Solution:
     """Return the lowest energy and its states by minimising over one site after the other."""
     factors: list[tuple[tuple[int, ...], Floats]] = [((k,), e) for k, e in enumerate(part.energies)]
     factors += part.pairs.items()
+    # Numbers of the factors of each site, in the order of their sums.
+    numbers: list[dict[int, None]] = [{} for _ in part.energies]
+    for number, (sites, _) in enumerate(factors):
+        for site in sites:
+            numbers[site][number] = None
     steps: list[tuple[int, tuple[int, ...], Integers]] = []
     energy = part.constant
     for k in order:
-        involved = [factor for factor in factors if k in factor[0]]
-        factors = [factor for factor in factors if k not in factor[0]]
+        involved = [factors[number] for number in numbers[k]]
+        for number in [*numbers[k]]:
+            for site in factors[number][0]:
+                del numbers[site][number]
         scope = tuple(sorted({site for sites, _ in involved for site in sites} - {k}))
         total = np.zeros([len(part.energies[site]) for site in (*scope, k)])
         for sites, table in involved:
@@ -167,6 +183,8 @@ def _eliminate(part: Part, order: Sequence[int]) -> _Solution:
             total += table.transpose(axes).reshape(shape)
         steps.append((k, scope, total.argmin(axis=-1)))
         if scope:
+            for site in scope:
+                numbers[site][len(factors)] = None
             factors.append((scope, total.min(axis=-1)))
         else:
             energy += float(total.min())
