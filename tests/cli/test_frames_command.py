@@ -12,6 +12,7 @@ from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
 
 import protochain as pc
+from protochain.batches.frame_files import FramesRun
 from protochain.cli import frames as of_frames
 from protochain.cli import terminal
 from protochain.structure.formats.frames import open_frames
@@ -175,3 +176,21 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
     said = capsys.readouterr().err
     assert "o.csv: is complete, nothing to do" in said and "replaced" not in said
     assert "o.csv: exists" in refusal(*begun) and run(*begun, "--force") == 4
+
+
+def test_sums_medians_and_worst_frames_are_of_their_columns(tmp_path, capsys):
+    """Sums of violations before and after, medians of each column, and the worst frames by the end."""
+    table = pd.DataFrame({
+        "frame": [0, 1, 2, 3], "status": "converged", "largest_gap_angstrom": [0.1, 12.0, 0.2, 15.0],
+        "violations_start": [9, 1, 7, 3], "violations_end": [0, 5, 1, 3],
+        "energy_start_kj_mol": [-10.0, -20.0, -30.0, -50.0],
+        "energy_end_reference_kj_mol": [-100.0, -200.0, -300.0, -700.0],
+    })  # fmt: skip
+    table.to_csv(tmp_path / "t.csv", index=False)
+    of_frames._print(FramesRun(tmp_path / "t.csv", counts={"converged": 4}, written=4), None)
+    said = capsys.readouterr().out
+    assert re.findall(r"(\d+) before, (\d+) after", said) == [("20", "9")]
+    assert re.findall(r"(start|end)\D* kJ/mol (-\d+)", said) == [("start", "-25"), ("end", "-250")]
+    (named,) = re.findall("highest violations end: frames (.*)", said)
+    assert re.findall(r"(\d+) \((\d+)\)", named) == [("1", "5"), ("3", "3"), ("2", "1")]
+    assert re.findall(r"(\d+) frames with molecules up to (\d+) ", said) == [("2", "15")]
