@@ -6,6 +6,9 @@ from scipy.special import erfc
 
 from protochain.core.units import MOLAR_GAS
 from protochain.searching.tempering import (
+    TARGET,
+    Replicas,
+    Tempering,
     equally_spaced,
     exchange,
     geometric,
@@ -63,3 +66,27 @@ def test_round_trips_are_ways_up_and_back():
         trips += back
     # Replica 0 was at the bottom, the top, and the bottom again; 2 began at the top.
     assert trips == 1 and heading.tolist() == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(("n_done", "is_end"), [(10, False), (20, False), (30, True), (7, None)])
+def test_time_steps_go_with_their_temperatures_when_these_are_placed(n_done, is_end):
+    """After a stage that is not the last, temperatures move, and counts of all stages begin anew."""
+    ladder = np.array([300.0, 330.0, 600.0])
+    steps = np.array([0.010, 0.014, 0.006])
+    state = Tempering(
+        np.zeros((3, 1)), np.zeros(3), ladder, steps, np.arange(3.0), np.array([1.0, -1.0, 0.0]),
+        np.array([4.0, 1.0]), 3.0, 5, n_done, 99, 2,
+    )  # fmt: skip
+    replicas = Replicas((300.0, 600.0), 3, 30, seed=0, walker=0)
+    # Acceptances at the target leave the time steps alone.
+    after = replicas._adapt(state, np.full(3, TARGET))
+    placed = equally_spaced(ladder, length_of_acceptance(np.array([0.8, 0.2])))
+    assert placed[1] > 340.0
+    expected = (placed, np.interp(placed, ladder, steps)) if is_end is False else (ladder, steps)
+    assert after.temperatures == pytest.approx(expected[0]) and after.time_steps == pytest.approx(expected[1])
+    counts = (after.accepted, after.n_counted, after.n_trips, *after.odds, *after.heading)
+    assert counts == ((3.0, 5, 2, 4.0, 1.0, 1.0, -1.0, 0.0) if is_end is None else (0.0,) * 8)
+    assert replicas._adapt(state, np.array([TARGET, 1.0, 0.0])).n_done == n_done
+    if is_end:
+        more = replicas._adapt(state, np.array([TARGET, 1.0, 0.0])).time_steps
+        assert more[1] > steps[1] and more[2] < steps[2] and more[0] == pytest.approx(steps[0])
