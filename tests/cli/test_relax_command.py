@@ -26,6 +26,7 @@ from protochain.batches.page import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
 from protochain.batches.table import RELAXED_COLUMNS as OF_RELAXED
 from protochain.batches.task import Task
+from protochain.cli.relaxing import print_relaxed
 from protochain.comparison.relaxed import viewer_scene, write_relaxed
 from protochain.structure.write import as_text
 
@@ -270,3 +271,20 @@ def test_a_motion_of_the_whole_changes_nothing_on_the_page():
     assert np.array([x for x, _ in atoms[0]]) == pytest.approx(np.array([x for x, _ in atoms[1]]), abs=0.0011)
     assert max(away for _, away in atoms[0]) > 0.1
     assert high[0] == pytest.approx(high[1])
+
+
+def test_ligands_that_moved_farthest_are_printed_first(capsys):
+    done = pc.relax(STRUCTURES / "ala10.pdb", max_iterations=1, threads=1, solvent="vacuum")
+    ligands = [
+        {
+            "name": "LIG",
+            "chain": "B",
+            "residue": str(k),
+            "rmsd_angstrom": 1.0,
+            "displacement_max_angstrom": far,
+        }
+        for k, far in enumerate((0.5, 2.5, 0.25, 9.0, 1.5))
+    ]
+    print_relaxed(done, done.record() | {"output": "-", "ligands": ligands})
+    shown = capsys.readouterr()
+    assert re.findall(r"LIG B:(\d) ", shown.out + shown.err) == ["3", "1", "4"]

@@ -498,10 +498,10 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
 
 
 def test_frames_are_scored_and_their_sides_compared_with_a_reference(three, capsys):
-    """As they are; a side moved by 2 angstrom; both turned as one; a side five per cent larger."""
+    """As they are; a side moved by 2 angstrom; both turned and moved as one; a side five per cent larger."""
     s = load("3i40.pdb")
     other = masks(s, "A", "B")[1]
-    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy())
+    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy()) + [1.0, -2.0, 0.5]
     larger = np.where(other[:, None], 1.05 * s.positions, s.positions)
     x = np.array([s.positions, s.positions + np.outer(other, [0.0, 0.2, 0.0]), turned, larger])
     np.savez(three / "f.npz", positions=x, unit="nm")
