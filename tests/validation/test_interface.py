@@ -501,7 +501,8 @@ def test_frames_are_scored_and_their_sides_compared_with_a_reference(three, caps
     """As they are; a side moved by 2 angstrom; both turned and moved as one; a side five per cent larger."""
     s = load("3i40.pdb")
     other = masks(s, "A", "B")[1]
-    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy()) + [1.0, -2.0, 0.5]
+    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy())
+    turned += [1.0, -2.0, 0.5]
     larger = np.where(other[:, None], 1.05 * s.positions, s.positions)
     x = np.array([s.positions, s.positions + np.outer(other, [0.0, 0.2, 0.0]), turned, larger])
     np.savez(three / "f.npz", positions=x, unit="nm")
