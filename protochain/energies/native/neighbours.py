@@ -78,7 +78,7 @@ def _tiles(
     """Sorted pairs of blocks within the cutoff, and whether they are near and may have necks."""
     axis = int(np.argmax(np.ptp(low, axis=0)))
     tiles, kinds = _sweep_tiles(np.argsort(low[:, axis]), axis, low, high, near, neck_reach, cutoff)
-    order = np.lexsort((tiles[:, 1], tiles[:, 0]))
+    order = np.argsort(tiles @ [len(low), 1])
     is_near, is_necked = kinds[order].T
     return tiles[order], is_near, is_necked
 
@@ -189,6 +189,6 @@ def block_groups(groups: Integers) -> Integers:
 
 def partners(pairs: Integers, n: int) -> tuple[Integers, Integers]:
     """Start of each atom's partners of higher index in a list of pairs, and the partners."""
-    order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    order = np.argsort(pairs @ [n, 1])
     first, second = pairs[order].T if len(pairs) else np.zeros((2, 0), np.int64)
     return np.searchsorted(first, np.arange(n + 1)).astype(np.int64), np.ascontiguousarray(second)
