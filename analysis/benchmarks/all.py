@@ -284,7 +284,7 @@ JOBS = (
     ),
     Job(
         "relaxation", f"{HERE}/pocket.py structures/6bj9_model_0.cif.gz -o DIR", 1,
-        collects={"relaxation.png": ("relaxation.png", ())},
+        collects={"relaxation.webp": ("relaxation.webp", ())},
     ),
     *(
         Job(
