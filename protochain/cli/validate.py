@@ -11,7 +11,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import AsJson, Inputs, check_outputs, files_of, with_settings
+from protochain.cli.options import AsJson, Inputs, check_outputs, check_page, files_of, with_settings
 from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.lazy_pandas import pd
@@ -54,7 +54,7 @@ def validate(
     frames: Chosen = None,
     workers: Workers = None,
     resume: Resume = False,
-    report: Annotated[Path | None, typer.Option(help="For frames: distributions, FILE.html.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Page to write, of one structure or of frames.")] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -74,11 +74,14 @@ def validate(
 
     of_frames.run_if_requested(
         context, inputs, trajectory, frames, setup, task, csv, excluded="residues changes posebusters",
-        alone="workers resume report", report=report, workers=workers, resume=resume, as_json=as_json,
+        alone="workers resume", report=report, workers=workers, resume=resume, as_json=as_json,
         reads=[reference] if reference else [],
     )  # fmt: skip
     files = files_of(inputs, setup)
-    check_outputs([reference, *(path for _, path, _ in files)], [csv, residues, changes], setup)
+    check_page(report)
+    if report and len(files) > 1:
+        raise ProtochainError("--report requires one structure, or frames")
+    check_outputs([reference, *(path for _, path, _ in files)], [csv, residues, changes, report], setup)
     if changes and not reference:
         raise ProtochainError("--changes requires --reference")
     compared = structure_to_measure(reference) if reference else None
@@ -91,6 +94,10 @@ def validate(
         if isinstance(result, ProtochainError):
             rows.append(refusal_row(result, file=name))
             continue
+        if report:
+            from protochain.comparison.validated import write_validated
+
+            write_validated(result, report)
         change = _changes(reference, result) if changes else None
         rows.append({"file": name, **_row(result, change)})
         remarks = (result.posebusters_missing, repr(change).strip("<>") if change else "")
@@ -105,7 +112,9 @@ def validate(
         residues: lambda: concatenate(of_residues),
         changes: lambda: concatenate(change_tables),
     }
-    conclude(rows, tables, partial(_print, notes), as_json, reference=str(reference) if reference else None)
+    compared_with = str(reference) if reference else None
+    pages = [report] if report and notes else []
+    conclude(rows, tables, partial(_print, notes), as_json, pages, reference=compared_with)
 
 
 def _changes(reference: Path | None, result: "Validation") -> "Differences":

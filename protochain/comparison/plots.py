@@ -13,7 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from protochain.core.arrays import Floats
 from protochain.core.palette import COLOURS, looks
 from protochain.results.figures import outside, panels, plain
-from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
+from protochain.structure import Structure
+from protochain.validation.ramachandran import ALLOWED, CLASSES, FAVOURED, ramachandran, tables
 
 _LOG_FROM = 1e4
 """kJ/mol. A larger drop, as from a relieved clash, needs a logarithmic axis."""
@@ -262,11 +263,48 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
     return figure
 
 
-def ramachandran_ground(panel: Axes) -> None:
-    """Draw the favoured (dark grey) and allowed (light grey) regions of most residues, axes in degrees."""
-    favoured = tables()[0].T
+def plot_ramachandran_classes(ends: Mapping[str, Structure]) -> PlainFigure:
+    """Ramachandran plot of each class with residues: the last end in colour, the first as rings."""
+    results = {name: ramachandran(end) for name, end in ends.items()}
+    last_name, last = list(results.items())[-1]
+    kinds = np.unique(np.concatenate([result.kind for result in results.values()])).tolist()
+    columns = min(3, len(kinds)) or 1
+    rows = -(-len(kinds) // columns) or 1
+    _, axes = panels(None, (rows, columns), (3.1 * columns, 3.2 * rows), sharex=True, sharey=True)
+    for panel, kind in zip(axes, kinds, strict=False):
+        ramachandran_ground(panel, kind)
+        for name, result in results.items():
+            of_kind = result.kind == kind
+            phi, psi, is_outlier = (v[of_kind] for v in (result.phi, result.psi, result.region == 0))
+            if result is not last:
+                panel.scatter(phi, psi, s=16, facecolors="none", edgecolors="#666666", lw=0.6, label=name)
+                continue
+            panel.scatter(phi[~is_outlier], psi[~is_outlier], s=9, color=COLOURS[0], label=name)
+            panel.scatter(phi[is_outlier], psi[is_outlier], s=24, marker="D", color=COLOURS[1])
+            for r, x, y in zip(result.residue[of_kind][is_outlier].tolist(), phi[is_outlier], psi[is_outlier],
+                               strict=True):  # fmt: skip
+                side = "right" if x > 0.0 else "left"
+                text = f" {ends[name].residue(r)} "
+                panel.text(x, y, text, fontsize=7, ha=side, va="bottom" if y < 0.0 else "top")
+        panel.set_title(f"{CLASSES[kind].replace('_', ' ')}: {int((last.kind == kind).sum())}", fontsize=9)
+    for k, panel in enumerate(axes):
+        panel.set_visible(k < len(kinds))
+        if k + columns >= len(kinds):
+            panel.set_xlabel("phi, degrees")
+            panel.tick_params(labelbottom=True)
+        if k % columns == 0:
+            panel.set_ylabel("psi, degrees")
+    counts = " to ".join(str(len(result.outliers)) for result in results.values())
+    favoured = f"{last.favoured_percent:.1f} % favoured, " if len(last.kind) else ""
+    rings = f"; rings: {next(iter(results))}" if len(results) > 1 else ""
+    return _set_title(axes, None, f"{last_name}: {favoured}outliers {counts}{rings}")
+
+
+def ramachandran_ground(panel: Axes, kind: int = 0) -> None:
+    """Draw the favoured (dark grey) and allowed (light grey) regions of a class, axes in degrees."""
+    favoured = tables()[kind].T
     grid = np.linspace(-179.0, 179.0, len(favoured))
-    panel.contourf(grid, grid, favoured, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
+    panel.contourf(grid, grid, favoured, levels=[ALLOWED[kind], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
     ticks = range(-180, 181, 90)
     panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
     panel.set_box_aspect(1.0)

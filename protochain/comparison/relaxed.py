@@ -8,7 +8,7 @@ import numpy as np
 
 from protochain.comparison.colourings import colourings
 from protochain.comparison.differences import Differences, concatenate, of_ends, totals_of
-from protochain.comparison.plots import plot_differences
+from protochain.comparison.plots import plot_differences, plot_ramachandran_classes
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.columns import energies_by_term
@@ -43,6 +43,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         changes=totals_of(changes),
         bonds_changed=concatenate(changes, "bonds"),
         figure=data_url(figure),
+        ramachandran=data_url(plot_ramachandran_classes(relaxation.ends())),
         command=command_line(),
         name=strength.name,
         source=strength.source,

@@ -1,5 +1,6 @@
 """What pages of runs are made of: named residues, averages, fluctuations, figures for papers, commands."""
 
+import json
 import re
 import sys
 from dataclasses import replace
@@ -8,16 +9,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
-from fixtures.samples import load
+from fixtures.molecules import shaken
+from fixtures.samples import STRUCTURES, load
 from matplotlib.figure import Figure
 
 import protochain as pc
 from protochain.batches.report import USABLE, plot_distributions
+from protochain.comparison.plots import plot_ramachandran_classes
 from protochain.comparison.relaxed import named_residues
 from protochain.comparison.simulated import averages, rmsf
 from protochain.results.figures import write_figure
 from protochain.results.provenance import command_line
+from protochain.validation.clashes import clashes
 from protochain.validation.findings import Findings
+from protochain.validation.ramachandran import CLASSES, ramachandran
 
 
 def test_residues_that_are_named_are_those_whose_outliers_came_and_went():
@@ -135,3 +140,31 @@ def test_distributions_count_what_is_up_to_each_value():
 def test_a_command_is_shown_as_it_was_typed(program, shown, monkeypatch):
     monkeypatch.setattr(sys, "argv", [program, "relax", "a b.pdb"])
     assert command_line() == f"{shown} relax 'a b.pdb'"
+
+
+def test_a_ramachandran_plot_has_a_panel_of_each_class_and_names_outliers():
+    start = load("1ubq.pdb")
+    end = shaken(start, 0.03)
+    found = {name: ramachandran(s) for name, s in {"before": start, "after": end}.items()}
+    figure = plot_ramachandran_classes({"before": start, "after": end})
+    kinds = np.unique(np.concatenate([result.kind for result in found.values()])).tolist()
+    panels = [ax for ax in figure.axes if ax.get_visible()]
+    titles = [f"{CLASSES[k].replace('_', ' ')}: {(found['after'].kind == k).sum()}" for k in kinds]
+    assert [ax.get_title() for ax in panels] == titles and len(kinds) == 5  # It has no cis proline.
+    named = {text.get_text().strip() for ax in panels for text in ax.texts}
+    assert named == {str(end.residue(r)) for r in found["after"].outliers.tolist()} and len(named) > 1
+    drawn = sum(len(points.get_offsets()) for ax in panels for points in ax.collections[-3:])
+    assert drawn == sum(len(result.kind) for result in found.values())
+
+
+def test_a_page_of_a_validation_names_the_residues_with_faults(tmp_path):
+    page = tmp_path / "page.html"
+    assert run("validate", STRUCTURES / "4pti.pdb", "--report", page) == 0
+    text, v = page.read_text(), pc.validate(load("4pti.pdb"))
+    assert len(text) < 2e6 and f"{len(v.listing())} residues with faults" in text
+    for line in v.listing():
+        assert line.split(":", 2)[1] in text
+    discs = json.loads(re.search(r'id="colourings">(.*?)</script>', text, re.DOTALL)[1])["discs"]
+    assert [len(rows) for rows in discs] == [len(clashes(v.structure).pairs)]
+    both = STRUCTURES / "4pti.pdb", STRUCTURES / "1l2y.pdb"
+    assert "one structure" in refusal("validate", *both, "--report", page)
