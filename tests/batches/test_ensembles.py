@@ -109,3 +109,13 @@ def test_the_command_writes_medoids_and_tables(three, tmp_path, monkeypatch, cap
     assert len(mdtraj.load("1ubq.medoids.pdb")) == 2
     assert "torsions" in refusal("ensemble", *given, "--by", "beauty")
     assert "within" in refusal("ensemble", *given, "--within", "-1")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_medoid_is_the_frame_nearest_to_all_others_of_its_cluster_wherever_it_is(seed):
+    x = np.random.default_rng(seed).permutation([0.0, 1.0, 1.3, 2.2, 9.0, 9.6, 9.7])
+    labels, medoids = cluster_distances(np.abs(x[:, None] - x), 4.0)
+    assert {frozenset(x[labels == 1]), frozenset(x[labels == 2])} == {
+        frozenset([0.0, 1.0, 1.3, 2.2]), frozenset([9.0, 9.6, 9.7])
+    }  # fmt: skip
+    assert x[medoids[0]] in (1.0, 1.3) and x[medoids[1]] == 9.6

@@ -356,3 +356,12 @@ def test_a_killed_command_is_resumed_to_the_same_files(tmp_path):
     )
     assert rows_of(tmp_path / "killed.csv") == rows_of(tmp_path / "whole.csv")
     assert content(tmp_path / "killed.dcd") == content(tmp_path / "whole.dcd") != b""
+
+
+def test_frames_of_a_chain_move_the_atoms_that_the_chain_moves():
+    s = load("ala10.pdb")
+    c = pc.build_chain(s, move="resid 1 to 3")
+    frame = next(relax_frames(c, s.positions[None], max_iterations=3, solvent="vacuum"))
+    away = np.linalg.norm(frame.structure.positions - s.positions, axis=1)
+    assert frame.move == c.move and away[s.atom_residue < 3].max() > 1e-3
+    assert away[s.atom_residue > 3].max() < 1e-9

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fixtures.oracles import angle_triples, angles, bond_lengths
@@ -8,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.chains.articulate import transfer_coordinates, with_free_root
+from protochain.chains.hinges import _in_rings
 from protochain.core.arrays import dihedral
 from protochain.mechanics.multibody import HingeKind, integrate
 from protochain.minimisers.problem import evaluate
@@ -246,3 +249,13 @@ def test_a_hinge_that_turns_nothing_is_closed():
     assert [hinge.kind for hinge in pc.build_chain(s, "psi rotors").hinges] == ["psi"]
     bent = s.with_positions(s.positions + np.array([[0, 0, 0]] * 5 + [[0, 0.05, 0]] + [[0, 0, 0]]))
     assert [hinge.kind for hinge in pc.build_chain(bent, "psi rotors").hinges] == ["psi", "rotor"]
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_hinges_in_a_ring_of_groups_are_all_of_the_ring_and_no_others(turn):
+    """A ring of four groups, a tail at one, and a second tree. The first hinge is anywhere in the ring."""
+    pairs = [(0, 1), (1, 2), (2, 3), (3, 0), (2, 4), (4, 5), (6, 7)]
+    pairs = [*pairs[turn:], *pairs[:turn]]
+    hinges = [SimpleNamespace(atoms=(-1, *pair, -1)) for pair in pairs]
+    ring = {k for k, pair in enumerate(pairs) if max(pair) < 4}
+    assert _in_rings(np.arange(8), hinges) == ring

@@ -407,3 +407,23 @@ def test_nonbonded_terms_are_for_methods_that_only_turn_hinges():
         pc.relax(structure, terms="nonbonded")
     with expect_refusal("terms", match="'bonded'"):
         pc.energy(structure, terms="bonded")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("forcefield", "charmm36"),
+        ("solvent", "vacuum"),
+        ("salt", 0.1),
+        ("terms", "nonbonded"),
+        ("cutoff", 1.0),
+    ],
+)
+def test_an_argument_that_defines_an_energy_replaces_a_callable(name, value):
+    """All others leave it as it is."""
+    c = chain("ala10.pdb")
+    end = pc.minimise(c, lambda x: (0.0, np.zeros_like(x)), "lbfgs", max_evaluations=2)
+    assert pc.energy(end, threads=1) is end.energy_function
+    made, expected = (pc.energy(source, **{name: value}) for source in (end, c))
+    x = c.structure.positions
+    assert made(x)[0] == expected(x)[0] != 0.0
