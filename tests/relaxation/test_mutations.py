@@ -1,5 +1,7 @@
 """Mutants, and what they cost."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ import protochain as pc
 from protochain.batches import mutation_scan
 from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
-from protochain.relaxation.mutations import NEAR, mutate_at, places_of, protocol
+from protochain.relaxation.mutations import NEAR, _state, mutate_at, places_of, protocol
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import substitute
 
@@ -281,3 +283,19 @@ def test_terminal_and_page_call_it_an_energy(tmp_path, monkeypatch, capsys):
     texts = (one, capsys.readouterr().out, (tmp_path / "s.html").read_text())
     for text in texts:
         assert "not a free energy" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "atoms", "state"),
+    [
+        ("HIS", "HD1 HE2", "HIP"), ("HIS", "HD1", "HID"), ("HIS", "HE2", "HIE"), ("HIS", "", "HIS"),
+        ("ASP", "HD2", "ASH"), ("ASP", "", "ASP"), ("GLU", "HE2", "GLH"), ("GLU", "", "GLU"),
+        ("LYS", "HZ1 HZ2 HZ3", "LYS"), ("LYS", "HZ2 HZ3", "LYN"), ("CYS", "HG", "CYS"), ("CYS", "", ""),
+        ("ALA", "HB1", "ALA"),
+    ],
+)  # fmt: skip
+def test_a_state_is_that_of_the_protons_of_the_residue(name, atoms, state):
+    names = np.array(["HD1", "HE2", "CA", *atoms.split()])
+    residues = (np.arange(len(names)) > 1).astype(int)  # The first has both protons of a histidine.
+    s = SimpleNamespace(residue_name=["HIS", name], atom_name=names, atom_residue=residues)
+    assert _state(s, 1) == state
