@@ -100,12 +100,15 @@ def test_no_signature_repeats_a_default():
 
 
 def test_a_setup_prepares_as_the_separate_calls_do():
-    setup = pc.Setup(hinges="phi psi", root="free", solvent="vacuum", threads=1, ph=4.0, disulfide="none")
+    setup = pc.Setup(
+        hinges="phi psi", root="free", solvent="vacuum", threads=1, ph=4.0, disulfide="none", move="resid 2:9"
+    )
     structure, chain, energy = setup.prepare(STRUCTURES / "4pti.pdb")
     alone = pc.load(STRUCTURES / "4pti.pdb", ph=4.0, disulfide="none")
     assert np.array_equal(structure.positions, alone.positions)
-    cut = pc.build_chain(alone, "phi psi", "free")
-    assert np.array_equal(chain.q0, cut.q0) and chain.root == "free"
+    cut = pc.build_chain(alone, "phi psi", "free", move="resid 2:9")
+    assert np.array_equal(chain.q0, cut.q0) and (chain.root, chain.move) == ("free", "resid 2:9")
+    assert np.array_equal(chain.moving, cut.moving) and not chain.moving.all()
     assert energy.fingerprint == pc.energy(alone, solvent="vacuum").fingerprint and energy.threads == 1
     once, again = (pc.Setup().prepare(load("ala10.pdb"), build_energy=cached_energy) for _ in range(2))
     assert once.structure is load("ala10.pdb") and once.energy is again.energy

@@ -66,6 +66,9 @@ def test_round_trips_are_ways_up_and_back():
         trips += back
     # Replica 0 was at the bottom, the top, and the bottom again; 2 began at the top.
     assert trips == 1 and heading.tolist() == [1.0, 1.0, 0.0]
+    # A way up alone is none, and a replica at the bottom again is counted when it arrives.
+    ways = [update_headings(np.array([1.0, 0.0, -1.0]), np.array(at))[1] for at in ([1, 2, 0], [2, 1, 0])]
+    assert ways == [0, 1] and update_headings(np.array([1.0, -1.0, 0.0]), np.array([0.0, 2.0, 1.0]))[1] == 0
 
 
 @pytest.mark.parametrize(("n_done", "is_end"), [(10, False), (20, False), (30, True), (7, None)])
