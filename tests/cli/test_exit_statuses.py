@@ -142,3 +142,16 @@ def test_rows_of_a_command_end_by_those_without_a_result(messages, is_sound, sta
     assert [row["message"] for row in shown] == [""] * messages.count("") and str(
         table
     ) in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("is_minimum", "is_stable", "status"), [(True, True, 0), (False, True, 3), (False, False, 3)]
+)
+def test_modes_of_a_point_with_torques_are_not_those_of_a_minimum(
+    is_minimum, is_stable, status, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    modes = SimpleNamespace(is_minimum=is_minimum, is_stable=is_stable)
+    monkeypatch.setattr("protochain.comparison.normal_modes.normal_modes", lambda *_, **more: modes)
+    monkeypatch.setattr("protochain.comparison.modes_folder.write_modes", lambda *_, **more: {})
+    assert run("modes", SAMPLE, "--no-relax", "--json") == status

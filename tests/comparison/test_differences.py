@@ -189,3 +189,12 @@ def test_the_command_writes_the_changes_from_the_reference(tmp_path, capsys):
 def test_the_figure_has_a_point_for_each_residue(ubiquitin):
     top, bottom = pc.differences(ubiquitin, ubiquitin).plot().axes
     assert [len(line.get_xdata()) for line in (*top.lines, *bottom.lines)] == [76, 76, 76]
+
+
+def test_another_residue_has_no_changed_rotamer():
+    s = pc.load(STRUCTURES / "1l2y.pdb")
+    other = pc.Setup(sequence="NIYLQWMKEGGPSTGKPPPS").load(STRUCTURES / "1l2y.pdb")
+    found = pc.differences(s, other)
+    rows = found.residues
+    assert found.totals["rotamers_changed"] == 0
+    assert (rows["rotamer_before"] != rows["rotamer_after"]).sum() >= 2
