@@ -9,6 +9,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
+from fixtures.components import read_columns
 from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT, STRUCTURES
 from fixtures.tolerances import GEOMETRY_NM, SAME_KERNEL
@@ -16,12 +17,13 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
+from protochain.ligands import dictionary
 from protochain.structure.molecule.chirality import changed_stereocentres, chiral_atoms, volume
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.sugars import SUGARS, anomeric_carbon, glycam_names, sugar_centres
 
 COMPLEXES = ROOT.parent / "shared" / "complexes"
-info = pytest.importorskip("biotite.structure.info")
+pytest.importorskip("biotite.structure.info")
 
 
 def shared(name):
@@ -42,7 +44,7 @@ def borne(tmp_path, atom, sugar, change=lambda model: None, stated=True):
     whole = gemmi.read_structure(str(STRUCTURES / "1ubq.pdb"))
     whole.remove_waters()
     residue = next(each for each in whole[0]["A"] if each.seqid.num == int(number))
-    own = info.residue(sugar)
+    own = dictionary.component(sugar)
     at = dict(zip(own.atom_name.tolist(), np.array(own.coord, dtype=float), strict=True))
     at = {each: x for each, x in at.items() if each[0] != "H"}
     carbon = anomeric_carbon(sugar)
@@ -86,13 +88,20 @@ def told(structure, kind):
     return [each for each in structure.repairs if each.kind is kind]
 
 
+@functools.cache
+def full_names():
+    """Names of sugars."""
+    keys, names = read_columns("chem_comp", "id", "name")
+    return {key: name for key, name in zip(keys.tolist(), names.tolist(), strict=True) if key in SUGARS}
+
+
 @pytest.mark.parametrize("name", SUGARS)
 def test_configurations_are_those_of_the_chemical_component_dictionary(name):
-    own = info.residue(name)
+    own = dictionary.component(name)
     at = dict(zip(own.atom_name.tolist(), np.array(own.coord, dtype=float), strict=True))
     for centre, ends in sugar_centres(SUGARS[name]).items():
         assert volume(np.array([at[each] for each in (centre, *ends)])) > 0.5, centre
-    said = info.full_name(name)
+    said = full_names()[name]
     anomer, side = ("alpha", "beta")[SUGARS[name][1] == "B"], ("D", "L")[SUGARS[name][0].islower()]
     assert anomer in said and (f"-{side}-" in said or "neuraminic" in said)
 
@@ -103,7 +112,7 @@ def test_heavy_atoms_and_hydrogens_are_named_as_in_the_dictionary(name):
     from protochain.structure.preparation.glycans import _template
 
     template = _template(Member(name, "1", "", "S", []), f"0{SUGARS[name]}")
-    own = set(info.residue(name).atom_name.tolist())
+    own = set(dictionary.component(name).atom_name.tolist())
     # A link takes the place of a hydroxyl; acids have lost their proton.
     leaving = f"O{anomeric_carbon(name)[1]}"
     assert {*template.element} == own - {leaving, f"H{leaving}", "HO6B", "HO1B"}

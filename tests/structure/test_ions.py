@@ -4,6 +4,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
+from fixtures.components import read_columns
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -67,10 +68,7 @@ def test_a_force_field_without_the_ion_has_it_by_element(tmp_path):
 
 
 def test_the_table_is_that_of_the_chemical_component_dictionary():
-    ccd = pytest.importorskip("biotite.structure.info.ccd")
-    of, element, charge = (
-        ccd.get_ccd()["chem_comp_atom"][name].as_array() for name in ("comp_id", "type_symbol", "charge")
-    )
+    of, element, charge = read_columns("chem_comp_atom", "comp_id", "type_symbol", "charge")
     chosen = np.flatnonzero(np.isin(of, [*ions._ARCHIVE]))
     rows = zip(of[chosen], element[chosen], charge[chosen], strict=True)
     assert {str(name): (str(z).capitalize(), int(q)) for name, z, q in rows} == ions._ARCHIVE

@@ -6,6 +6,7 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
+from protochain.ligands import dictionary
 
 PEPTIDE, DUPLEX = STRUCTURES / "1l2y.pdb", STRUCTURES / "1bna.pdb"
 OLD = {"OP1": "O1P", "OP2": "O2P", "C7": "C5M"}
@@ -66,9 +67,7 @@ def test_a_nucleotide_is_known_by_its_sugar_and_base(edit, tmp_path):
 
 
 def test_pseudouridine_has_the_atoms_of_uridine_and_is_none(tmp_path):
-    import biotite.structure.info as info
-
-    component = info.residue("PSU")
+    component = dictionary.component("PSU")
     atoms = [
         f"ATOM  {k:5} {name:^4} PSU A   1    {x[0]:8.3f}{x[1]:8.3f}{x[2]:8.3f}  1.00  0.00{element:>12}"
         for k, (name, x, element) in enumerate(
