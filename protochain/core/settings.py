@@ -11,7 +11,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Any, ParamSpec, TypeVar
 
 from protochain.core.checks import Check, check_fields
@@ -118,22 +118,37 @@ def document_fields(kind: type[Made]) -> type[Made]:
     The comment is above or behind the field. It may begin with a unit, as ``nm: Distance.``, or with a shape
     and unit in place of the type, as ``(n, 3) float, nm: Positions.``
     """
-    entries: dict[str, str] = {}
-    for base in filter(is_dataclass, kind.__mro__):
-        for above, name, annotation, behind in _FIELD.findall(_source(base)):
-            unit, text = _COMMENT.findall(" ".join(f"{above.replace('# ', '')} {behind}".split()))[0]
-            parts = [annotation.removesuffix(" | None").strip("'\""), unit]
-            parts += ["optional"] * annotation.endswith(" | None")
-            described = unit if unit.startswith("(") else ", ".join(filter(None, parts))
-            if text:
-                entries.setdefault(name, _entry_of(name, described, text))
-    for item in fields(kind):  # type: ignore[arg-type]  # a dataclass
-        if item.metadata:
-            entries.setdefault(item.name, _entry(item))
-    before, *sections = re.split(r"\n\n(?=\w+\n---)", inspect.getdoc(kind) or "", maxsplit=1)
-    listed = [entries[name] for name in inspect.signature(kind).parameters if name in entries]
-    kind.__doc__ = "\n\n".join([before, "\n".join(["Parameters\n----------", *listed]), *sections]) + "\n"
+    kind.__doc__ = _Documentation(kind, kind.__doc__ or "")  # type: ignore[assignment]
     return kind
+
+
+@dataclass(frozen=True)
+class _Documentation:
+    """Docstring of a class, composed from its source when it is read."""
+
+    kind: type
+    text: str
+
+    def __get__(self, instance: object, owner: type) -> str:
+        return self._composed
+
+    @cached_property
+    def _composed(self) -> str:
+        entries: dict[str, str] = {}
+        for base in filter(is_dataclass, self.kind.__mro__):
+            for above, name, annotation, behind in _FIELD.findall(_source(base)):
+                unit, text = _COMMENT.findall(" ".join(f"{above.replace('# ', '')} {behind}".split()))[0]
+                parts = [annotation.removesuffix(" | None").strip("'\""), unit]
+                parts += ["optional"] * annotation.endswith(" | None")
+                described = unit if unit.startswith("(") else ", ".join(filter(None, parts))
+                if text:
+                    entries.setdefault(name, _entry_of(name, described, text))
+        for item in fields(self.kind):
+            if item.metadata:
+                entries.setdefault(item.name, _entry(item))
+        before, *sections = re.split(r"\n\n(?=\w+\n---)", inspect.cleandoc(self.text), maxsplit=1)
+        listed = [entries[name] for name in inspect.signature(self.kind).parameters if name in entries]
+        return "\n\n".join([before, "\n".join(["Parameters\n----------", *listed]), *sections]) + "\n"
 
 
 def _source(kind: type) -> str:

@@ -62,10 +62,17 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
 
 def score(kind: Integers, phi: Floats, psi: Floats) -> Floats:
     """Interpolate the tables of kind (n,) between the four points nearest to phi, psi (n,), degrees."""
-    from scipy.ndimage import map_coordinates
-
-    places = np.array([kind, (phi + 179.0) / _CELL, (psi + 179.0) / _CELL])
-    return np.asarray(map_coordinates(tables(), places, order=1, mode="grid-wrap"))
+    # As map_coordinates of scipy.ndimage, which is a slow import.
+    table = tables()
+    n = table.shape[1]
+    places = np.array([phi + 179.0, psi + 179.0]) / _CELL % n
+    below = np.floor(places)
+    first, index = 1.0 - (places - below), below.astype(np.int64)
+    weights, total = (first, 1.0 - first), np.zeros(len(kind))
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        points = table[kind, (index[0] + i) % n, (index[1] + j) % n]
+        total += points * weights[i][0] * weights[j][1]
+    return total
 
 
 @cache

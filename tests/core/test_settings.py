@@ -9,6 +9,7 @@ from numpydoc.docscrape import FunctionDoc
 
 import protochain as pc
 from protochain.batches import BatchSettings
+from protochain.core import settings
 from protochain.core.checks import check_arguments, number, text
 from protochain.core.settings import Settings, document_fields, document_settings, setting, settings_of
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
@@ -130,3 +131,20 @@ def test_a_former_keyword_is_accepted_with_a_warning_that_names_the_new_one(take
         function(restraint="500", restraints="400")
     with pytest.warns(DeprecationWarning), expect_refusal("restraints", "max_rmsd"):
         pc.explore(None, n_starts=2, restraint="500")
+
+
+def test_the_docstring_of_a_class_is_composed_when_it_is_read(monkeypatch):
+    """Sources of 44 classes would be read at every start."""
+    sources = []
+    monkeypatch.setattr(settings, "_source", lambda kind: sources.append(kind) or "    n: int  # nm: Size.\n")
+
+    @document_fields
+    @dataclass
+    class Example:
+        """An example."""
+
+        n: int
+
+    assert not sources
+    assert Example.__doc__ == "An example.\n\nParameters\n----------\nn : int, nm\n    Size.\n"
+    assert Example(1).__doc__ is Example.__doc__ and sources == [Example]
