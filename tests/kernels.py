@@ -3,53 +3,37 @@
     python tests/kernels.py
 
 It runs `protochain relax` and `protochain minimise` of a sample with an empty cache, each in a process
-without helpers, and lists what they compile, by themselves or within other kernels, if that takes long. A
-kernel comes before those that call it, and before those that the run needs earlier.
+without helpers, and lists what they compile for calls from Python. A kernel comes before those that the run
+needs earlier.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parent.parent
 LIST = ROOT / "protochain" / "core" / "kernels.txt"
-LONG = 0.25
-"""s of a processor. Shorter ones are listed only if the run calls them itself."""
 HEAD = """\
 # Kernels of `protochain relax` and `minimise` by default, in the order in which helpers compile them: module,
 # name, types of arguments as protochain.core.compile_helpers.type_of reads them. Written by tests/kernels.py.
 """
 RUN = """
 import sys
-from time import process_time
 sys.path.append({tests!r})
 from kernels import entry_of
 from protochain.core import compilation
 from protochain.cli import main
 
-found, inside = [], []
+entries = []
 compile_it = compilation._compile
 
-def compiled(kernel, by_numba, types):
-    there = tuple(types) in kernel.overloads
-    mine = [None, len(inside), 0.0]
-    if not there:
-        found.append(mine)
-    inside.append(kernel)
-    began = process_time()
-    try:
-        return compile_it(kernel, by_numba, types)
-    finally:
-        inside.pop()
-        mine[2] = process_time() - began
-        try:
-            mine[0] = entry_of(kernel, tuple(types))
-        except KeyError:
-            pass
+def compiled(kernel, store, by_numba, inner, types):
+    if not compilation._COMPILING:
+        entries.append(entry_of(kernel, tuple(types)))
+    return compile_it(kernel, store, by_numba, inner, types)
 
 compilation._compile = compiled
 sys.argv = ["protochain", *{arguments}]
@@ -57,9 +41,8 @@ try:
     main()
 except SystemExit as end:
     assert not end.code, end
-for entry, depth, seconds in found:
-    if entry and (depth == 0 or seconds > {long}):
-        print("KERNEL", entry)
+for entry in entries:
+    print("KERNEL", entry)
 """
 
 
@@ -87,10 +70,9 @@ def loaded() -> list[str]:
     for name, module in sorted(sys.modules.items()):
         for kernel in vars(module).values() if name.startswith("protochain.") else ():
             if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
-                for types in kernel.overloads:
-                    # Others are called by kernels only.
-                    with suppress(KeyError):
-                        found.append(entry_of(kernel, types))
+                # Inner ones are called by kernels only.
+                called = (types for types, code in kernel.overloads.items() if not code.library.is_inner)
+                found += [entry_of(kernel, types) for types in called]
     return found
 
 
@@ -99,7 +81,7 @@ def compiled(command: str, folder: Path) -> list[str]:
     arguments = [command, str(ROOT / "structures" / "1l2y.pdb"), "-o", str(folder / f"{command}.pdb")]
     arguments += ["--threads", "1"]
     surroundings = os.environ | {"NUMBA_CACHE_DIR": str(folder / command), "PROTOCHAIN_HELPER": "0"}
-    program = RUN.format(arguments=arguments, long=LONG, tests=str(Path(__file__).parent))
+    program = RUN.format(arguments=arguments, tests=str(Path(__file__).parent))
     run = subprocess.run(
         [sys.executable, "-c", program], env=surroundings, stdout=subprocess.PIPE, text=True, check=True
     )

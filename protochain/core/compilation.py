@@ -3,6 +3,9 @@
 Numba's own cache sees changes of a kernel's own file only, stops a program that can write nowhere, and may
 mix up files if two processes compile one kernel at once. Here a kernel is compiled anew if any of its sources
 has changed. One process compiles it while others wait, and caches the code in a folder with free space.
+
+Numba also makes machine code and a wrapper for Python of every kernel. Here an inner kernel, which other
+kernels call, has neither until Python calls it.
 """
 
 import gc
@@ -44,10 +47,12 @@ def _without_yaml() -> Iterator[None]:
 
 try:
     with _without_yaml():
+        from llvmlite import binding
         from numba import config
         from numba import njit as _njit
         from numba.core.caching import FunctionCache
-        from numba.core.codegen import get_host_cpu_features
+        from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
+        from numba.core.compiler import Compiler, CompileResult
         from numba.core.compiler_lock import global_compiler_lock
         from numba.core.runtime.nrt import rtsys
 except ValueError as error:
@@ -78,36 +83,139 @@ PATIENCE = 120.0
 """s. Longest wait for a kernel that another process compiles, before this process compiles it too."""
 
 
-def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **options: Any) -> Any:
-    """Compile a function at its first call, as ``numba.njit`` does. Cache the code if ``cache``."""
+_COMPILING: list[bool] = []
+"""Whether the kernels that are being compiled, each for the one before it, are inner ones. The lock of the
+compiler protects the list."""
+
+
+def njit(
+    function: Callable[..., Any] | None = None, *, cache: bool = False, inner: bool = False, **options: Any
+) -> Any:
+    """Compile a function at its first call, as ``numba.njit`` does. Cache the code if ``cache``.
+
+    A function that mostly kernels call is ``inner``. If Python calls it, too, it is compiled twice.
+    """
     if function is None:
-        return partial(njit, cache=cache, **options)
+        return partial(njit, cache=cache, inner=inner, **options)
     # Nothing takes the address of a kernel: the wrapper for that would cost a twentieth of the time.
     by_options: Any = _njit
-    kernel = by_options(no_cfunc_wrapper=True, **options)(function)
+    kernel = by_options(no_cfunc_wrapper=True, pipeline_class=_Pipeline, **options)(function)
+    store, by_numba, add = Store(function), kernel.compile, kernel.add_overload
     if cache:
-        kernel._cache = Store(function)
-        by_numba = kernel.compile
-        kernel.compile = lambda signature: _compile(kernel, by_numba, signature)
+        kernel._cache = store
+    else:
+        store.disable()
+    kernel.compile = lambda signature: _compile(kernel, store, by_numba, inner, signature)
+    kernel.add_overload = lambda compiled: _add(kernel, add, compiled)
     return kernel
 
 
 @part("kernels")
-def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any:
+def _compile(kernel: Any, store: "Store", by_numba: Callable[[Any], Any], inner: bool, signature: Any) -> Any:
     """Compile a kernel, or load it, once it is sure that no other process is compiling it."""
-    store = kernel._cache
-    if tuple(signature) in kernel.overloads or store.has(signature, kernel.targetctx):
-        return by_numba(signature)
-    # Its own lock first: a thread that waits for it must not hold what the compiling one needs.
-    with global_compiler_lock, store.alone():
-        if not store.has(signature, kernel.targetctx):
-            _announce(store.has_folder)
-            if store.has_folder:
-                compile_helpers.call_helpers(
-                    f"{kernel.py_func.__module__} {kernel.py_func.__qualname__}", Path(store.cache_path)
-                )
-        with _without_collection():
-            return by_numba(signature)
+    with global_compiler_lock:
+        outermost = not _COMPILING
+        compiled = kernel.overloads.get(tuple(signature))
+        if compiled is not None and not (outermost and compiled.library.is_inner):
+            return compiled.entry_point
+        kernel.overloads.pop(tuple(signature), None)
+        _COMPILING.append(inner and not outermost)
+        try:
+            if store.has(signature, kernel.targetctx):
+                return by_numba(signature)
+            # The lock of the compiler first: a thread that waits for it must not hold what the compiling one
+            # needs.
+            with store.alone():
+                if outermost and store.is_enabled and not store.has(signature, kernel.targetctx):
+                    _announce(store.has_folder)
+                    if store.has_folder:
+                        compile_helpers.call_helpers(
+                            f"{kernel.py_func.__module__} {kernel.py_func.__qualname__}",
+                            Path(store.cache_path),
+                        )
+                with _without_collection():
+                    return by_numba(signature)
+        finally:
+            _COMPILING.pop()
+
+
+def _add(kernel: Any, by_numba: Callable[[Any], None], compiled: Any) -> None:
+    """Add compiled code to those of a kernel, without its lines and types, which are large."""
+    compiled.fndesc.typemap = compiled.fndesc.calltypes = None
+    compiled = compiled._replace(type_annotation="", metadata=None)
+    if not compiled.library.is_inner:
+        # Those of inner kernels, too.
+        environments = tuple(compiled._find_referenced_environments())
+        for environment in environments:
+            compiled.codegen.set_env(environment.env_name, environment)
+        by_numba(compiled._replace(referenced_envs=compiled.referenced_envs or environments))
+        return
+    if compiled.entry_point is None:
+        compiled = compiled._replace(entry_point=object())
+        kernel.targetctx.insert_user_function(compiled.entry_point, compiled.fndesc, [compiled.library])
+    kernel.overloads[tuple(compiled.signature.args)] = compiled
+
+
+class _Pipeline(Compiler):
+    """Numba's compiler, with libraries of our class."""
+
+    def compile_extra(self, func: Any) -> Any:
+        self.state.library = _Library(self.state.targetctx.codegen(), func.__qualname__)
+        is_inner = self.state.library.is_inner = _COMPILING[-1]
+        if is_inner:
+            self.state.flags.no_compile = self.state.flags.no_cpython_wrapper = True
+        return super().compile_extra(func)
+
+
+class _Library(JITCodeLibrary):
+    """Code of a kernel and of those that it calls, machine code only if Python calls the kernel."""
+
+    is_inner = False
+    _bitcode = b""
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.enable_object_caching()
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Optimise functions. Numba makes passes anew for each, and for those that are only declared."""
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+    def _finalize_final_module(self) -> None:
+        if self.is_inner:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+        else:
+            super()._finalize_final_module()
+
+    def _get_module_for_linking(self) -> Any:
+        if self._bitcode and self._shared_module is None:
+            self._shared_module = binding.parse_bitcode(self._bitcode)
+        return super()._get_module_for_linking()
+
+    def serialize_using_object_code(self) -> tuple[str, bytes, bytes]:
+        """Return the name, the machine code, and the code to link."""
+        bitcode = self._get_module_for_linking().as_bitcode()
+        if self.is_inner:
+            return self.name, b"", bitcode
+        self._shared_module = None  # Rarely needed again.
+        return self.name, self._get_compiled_object(), bitcode
+
+    @classmethod
+    def load(cls, codegen: Any, wrapper: str, name: str, machine_code: bytes, bitcode: bytes) -> "_Library":
+        """Inverse of :meth:`serialize_using_object_code`. Code to link is read only when needed."""
+        library = cls(codegen, name)
+        library.is_inner, library._bitcode = not machine_code, bitcode
+        if machine_code:
+            library._set_compiled_object(machine_code)
+            library._finalize_final_module()
+            codegen._engine._defined_symbols.add(wrapper)
+        library._finalized = True
+        return library
 
 
 class Store:
@@ -115,7 +223,7 @@ class Store:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._enabled = True
+        self.is_enabled = True
 
     @cached_property
     def _files(self) -> Any:
@@ -144,37 +252,65 @@ class Store:
 
     def has(self, signature: Any, context: Any) -> bool:
         """Whether compiled code is in the cache. Numba's context has the processor."""
-        if not (self._enabled and self.has_folder):
-            return False
-        key = self._files._index_key(signature, context.codegen())
+        return self._key(signature, context) is not None
+
+    def _key(self, signature: Any, context: Any) -> Any:
+        """Key of compiled code in the cache, None without it."""
+        if not (self.is_enabled and self.has_folder):
+            return None
         try:
-            name = self._files._cache_file._load_index().get(key)
+            index = self._files._cache_file._load_index()
         except Exception:  # A damaged file may raise anything; it is written anew.
-            return False
-        return name is not None and (Path(self.cache_path) / name).exists()
+            return None
+        # Code for Python can be linked into other code, code of inner kernels cannot be called.
+        for is_inner in (True, False) if _COMPILING and _COMPILING[-1] else (False,):
+            key = *self._files._index_key(signature, context.codegen()), is_inner
+            if key in index and (Path(self.cache_path) / index[key]).exists():
+                return key
+        return None
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code, or None."""
         # Numba would also tell its compiler of all functions that it knows, for a tenth of a second; where it
         # compiles, it does so anyway. Loaded code needs no more than its memory manager.
         rtsys.initialize(context)
-        if self._enabled and self.has_folder:
-            with suppress(Exception):  # As above.
-                return self._files._load_overload(signature, context)
+        key = self._key(signature, context)
+        with suppress(Exception):  # As above.
+            return key and self._load(key, context)
         return None
+
+    def _load(self, key: Any, context: Any) -> Any:
+        saved = self._files._cache_file.load(key)
+        library, description, environment, types, _, lifted, annotation, initial, environments = saved
+        for initialise in initial:
+            initialise()
+        code = _Library.load(context.codegen(), description.llvm_cpython_wrapper_name, *library)
+        entry_point = object() if code.is_inner else context.get_executable(code, description, environment)
+        for other in () if code.is_inner else environments:
+            code.codegen.set_env(other.env_name, other)
+        result: Any = CompileResult
+        return result(
+            typing_context=context.typing_context, target_context=context, entry_point=entry_point,
+            typing_error=None, type_annotation=annotation, signature=types, objectmode=False, lifted=lifted,
+            fndesc=description, library=code, call_helper=None, environment=environment, metadata=None,
+            reload_init=initial, referenced_envs=environments,
+        )  # fmt: skip
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Store compiled code. A full disk only loses it."""
-        if self._enabled and self.has_folder:
-            try:
-                self._files.save_overload(signature, compiled)
-            except OSError as error:
-                _LOG.info("%s: compiled code was not cached (%s)", self.cache_path, error.strerror)
-            except Exception:
-                # The index is damaged.
-                with suppress(OSError):
-                    self._files.flush()
-                    self._files.save_overload(signature, compiled)
+        if not (self.is_enabled and self.has_folder and self._files._impl.check_cachable(compiled)):
+            return
+        key = *self._files._index_key(signature, compiled.codegen), compiled.library.is_inner
+        saved = compiled._replace(type_annotation="")._reduce()
+        try:
+            self._files._cache_file.save(key, saved)
+        except OSError as error:
+            _LOG.info("%s: compiled code was not cached (%s)", self.cache_path, error.strerror)
+        except Exception:
+            # The index is damaged.
+            with suppress(OSError):
+                self._files.flush()
+                self._files._cache_file.save(key, saved)
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -182,7 +318,7 @@ class Store:
         from filelock import Timeout
 
         with ExitStack() as stack:
-            if self.has_folder:
+            if self.is_enabled and self.has_folder:
                 # Not all file systems have locks: then the code is compiled twice, and no file half written.
                 with suppress(Timeout, OSError, RuntimeError):
                     stack.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
@@ -210,11 +346,11 @@ class Store:
 
     def enable(self) -> None:
         """Use the cache."""
-        self._enabled = True
+        self.is_enabled = True
 
     def disable(self) -> None:
         """Compile without it."""
-        self._enabled = False
+        self.is_enabled = False
 
     def flush(self) -> None:
         """Remove the compiled code."""

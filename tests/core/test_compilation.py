@@ -15,7 +15,7 @@ from fixtures.samples import ROOT, STRUCTURES
 from fixtures.waiting import HANG
 from kernels import text_of
 from numba import types
-from numba.core.caching import FunctionCache
+from numba.core.caching import IndexDataCacheFile
 
 from protochain.core import compilation, compile_helpers
 from protochain.core.compilation import njit
@@ -25,7 +25,7 @@ from protochain.mechanics.multibody import algebra
 CALLEE = """
 from protochain.core.compilation import njit
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def part(x):
     return x + {step}
 """
@@ -131,6 +131,25 @@ def test_two_processes_compile_a_kernel_once(sources, tmp_path):
     assert told == [["4.0", "0"], ["4.0", "1"]]
 
 
+def test_an_inner_kernel_has_machine_code_only_once_python_calls_it(sources, tmp_path, monkeypatch):
+    monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv(compile_helpers._HELPER, "1")
+    path = sources(name="inner")
+    for misses in (1, 0):  # Compiled, then loaded.
+        part = load(path.with_name("callee_inner.py")).part
+        whole = load(path).whole
+        assert whole(1.0) == 4.0 and sum(whole.stats.cache_misses.values()) == misses
+        assert [code.library.is_inner for code in part.overloads.values()] == [True] * misses
+        assert part(1.0) == 2.0 and sum(part.stats.cache_misses.values()) == 2 * misses
+        assert [code.library.is_inner for code in part.overloads.values()] == [False]
+        assert whole(2.0) == 6.0 and part(2.0) == 3.0
+    # Another kernel links the code of the cache.
+    path = path.with_name("caller_other.py")
+    path.write_text(CALLER.format(name="inner", factor=5.0, entry=0.0))
+    part = load(path.with_name("callee_inner.py")).part
+    assert load(path).whole(1.0) == 10.0 and not sum(part.stats.cache_misses.values())
+
+
 @pytest.mark.parametrize("ending", [".nbi", ".nbc"])
 def test_damaged_files_are_written_anew(sources, tmp_path, monkeypatch, ending):
     monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", str(tmp_path / "cache"))
@@ -151,7 +170,7 @@ def test_a_full_disk_loses_the_compiled_code_only(sources, tmp_path, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(FunctionCache, "save_overload", full)
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
     assert load(sources(name="full")).whole(1.0) == 4.0
     assert not list((tmp_path / "cache").rglob("*.nbc"))
 

@@ -173,7 +173,7 @@ def arguments(
     map_terms = _views(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
     listed = kinds, *_views(lists.free), exceptions, *bonded, map_terms
     if solvent is None:
-        return state, vacuum, listed, None, None, tree_part, None
+        return state, vacuum, listed, (), None, tree_part, None
     per_atom = (
         *_views(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_views(solvent.charge, solvent.surface), float(solvent.cutoff),

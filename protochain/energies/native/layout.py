@@ -29,42 +29,41 @@ Share = tuple[int, int]
 FAR_AWAY = 1e6
 """nm. Spacing of the atoms that pad the last block, which have neither charge nor radius."""
 
-_WITHIN: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
-"""Options of functions that only kernels call. A wrapper for Python would require 0.2 s to compile."""
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def tile_kernel(function: F) -> F:
     """Compile a kernel of two blocks. Sums along a row may be reordered, to vectorise."""
     fast = {"contract", "reassoc", "nsz"}
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=fast)(function))
+    return cast(F, njit(inner=True, cache=True, error_model="numpy", fastmath=fast)(function))
 
 
 def variant(function: F) -> F:
     """Compile as :func:`tile_kernel`, inlined: branches on constants of the caller have no cost in loops."""
     fast = {"contract", "reassoc", "nsz"}
-    return cast(F, njit(error_model="numpy", fastmath=fast, **_WITHIN)(function))
+    return cast(F, njit(inner=True, error_model="numpy", fastmath=fast, forceinline=True)(function))
 
 
 def ordered_kernel(function: F) -> F:
     """Compile as :func:`variant`, with additions in their order, so that roundings by addition remain."""
-    return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, **_WITHIN)(function))
+    return cast(
+        F, njit(inner=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function)
+    )
 
 
 def scalar(function: F) -> F:
     """Compile a kernel for single terms."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
+    return cast(F, njit(inner=True, cache=True, error_model="numpy", fastmath={"contract"})(function))
 
 
 def chunk_kernel(function: F) -> F:
     """Compile a loop over chunks, any of which may run on any thread."""
-    return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
+    return cast(F, njit(inner=True, cache=True, error_model="numpy", nogil=True)(function))
 
 
 def inline_kernel(function: F) -> F:
     """Compile as :func:`chunk_kernel`, inlined, because a call would count the references of all arrays."""
-    return cast(F, njit(error_model="numpy", nogil=True, **_WITHIN)(function))
+    return cast(F, njit(inner=True, error_model="numpy", nogil=True, forceinline=True)(function))
 
 
 def n_blocks(n: int) -> int:

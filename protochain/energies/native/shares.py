@@ -29,7 +29,10 @@ def residue_sums(
     free = np.ones(n_atoms)
     row = np.empty((3, n_residues))
     for r in range(first, last):
-        row[:] = 0.0
+        # Element by element, because an assignment of slices would compile for seconds.
+        for s in range(r, n_residues):
+            for kind in range(3):
+                row[kind, s] = 0.0
         for i in range(start[r], start[r + 1]):
             for k in range(partner_start[i], partner_start[i + 1]):
                 free[partners[k]] = 0.0
@@ -46,7 +49,8 @@ def residue_sums(
             for k in range(partner_start[i], partner_start[i + 1]):
                 free[partners[k]] = 1.0
         for kind in range(3):
-            matrix[kind, r - first, r:] = row[kind, r:]
+            for s in range(r, n_residues):
+                matrix[kind, r - first, s] = row[kind, s]
 
 
 @variant

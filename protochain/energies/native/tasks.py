@@ -100,7 +100,8 @@ def take(
     step, of_step = divmod(task, counters[TASKS])
     chunks_per_task = CHUNKS // counters[TASKS]
     chunks = of_step * chunks_per_task, (of_step + 1) * chunks_per_task
-    if solvent is None:
+    # Its length is a constant, so that one branch alone is compiled.
+    if len(solvent) == 0:
         in_vacuum(step % IN_VACUUM, chunks, state, vacuum, terms, far)
     else:
         in_solvent(step % IN_SOLVENT, chunks, state, vacuum, terms, solvent, necks, far, salt)
