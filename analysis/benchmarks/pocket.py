@@ -29,11 +29,6 @@ FLAGS = (
     "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )  # fmt: skip
-SHOWN = (
-    "clashes per", "Ramachandran fav", "bonds bey", "angles bey", "clashes of lig", "largest strain",
-    "overlapping", "energy",
-)  # fmt: skip
-"""Beginnings of the rows that the picture has room for."""
 PAGE = """<meta charset="utf-8"><style>
 body {{ margin: 0; width: 1600px;
   font: 19px/1.3 "Liberation Sans", Arial, sans-serif; color: #262626;
@@ -105,9 +100,7 @@ def draw(
         f'<div class="box" id="{state}"></div></figure>'
         for state, each in zip(("before", "after"), drawn, strict=True)
     )
-    cells = "".join(
-        f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows if row[0].startswith(SHOWN)
-    )
+    cells = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     ligand, clash = COLOURS[0], COLOURS[1]
     page.set_content(
         PAGE.format(
