@@ -135,6 +135,11 @@ def test_rows_of_minima_name_the_descents_that_found_them(whole):
         for row in found.minima.itertuples():
             descents = found.findings[row.walker].minima
             assert [row.evaluations_of_walker, row.energy_kj_mol] in descents[:, :2].tolist()
+        record = found.record()
+        assert record["steps"] == sum(state.n_done for state in found.states) < record["evaluations"]
+        assert record["evaluations"] == sum(state.n_evaluations for state in found.states)
+    # Some hops are accepted, and some are not.
+    assert 0.0 < whole["hopping"].record()["acceptance"] < 1.0
 
 
 @pytest.mark.parametrize("method", ["hopping", "tempering"])
