@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +71,10 @@ def loaded() -> list[str]:
     for name, module in sorted(sys.modules.items()):
         for kernel in vars(module).values() if name.startswith("protochain.") else ():
             if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
-                # Inner ones are called by kernels only.
-                called = (types for types, code in kernel.overloads.items() if not code.library.is_inner)
-                found += [entry_of(kernel, types) for types in called]
+                for types, code in kernel.overloads.items():
+                    # Others are called by kernels only.
+                    with suppress(KeyError):
+                        found += [] if code.library.is_inner else [entry_of(kernel, types)]
     return found
 
 
