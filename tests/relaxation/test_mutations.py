@@ -224,6 +224,12 @@ def test_a_scan_has_the_rows_of_mutants_alone(leucine):
     assert drawn.shape == (1, 2) and drawn[0, 0] == leucine.ddg
 
 
+def test_the_model_of_the_unfolded_chain_has_no_change_of_stability():
+    """GGXGG itself, whose energy changes as much in the structure as in the peptide."""
+    m = pc.mutate(pc.from_sequence("GGAGG"), "A:A3V", solvent="vacuum", threads=1)
+    assert m.change < -50.0 and abs(m.ddg) < 1.0
+
+
 def test_rows_of_a_scan_are_the_mutations_alone_in_the_order_of_the_sites():
     """Sites and letters in another order than in the file, whose moving residues are as many."""
     few = {"solvent": "vacuum", "threads": 1, "max_iterations": 2, "max_outer_iterations": 1}
