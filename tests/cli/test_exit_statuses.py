@@ -43,7 +43,7 @@ def test_the_status_of_several_results(statuses, usable, interrupted, status):
 
 def row(mutant, wild=OK, energy=-1.0):
     return dict.fromkeys((column.key for column in COLUMNS), None) | {
-        "record": "d", "chain": "A", "residue": "2", "wild": "A", "mutant": "G", "mutations": "A:A2G",
+        "record": "design-7", "chain": "A", "residue": "2", "wild": "A", "mutant": "G", "mutations": "A:A2G",
         "status": mutant, "status_wild": wild, "energy_mutant_kj_mol": energy, "message": "",
     }  # fmt: skip
 
@@ -57,7 +57,7 @@ MUTANTS = [
 
 
 @pytest.mark.parametrize(("rows", "status"), MUTANTS)
-def test_mutants_end_by_both_sides_and_fail_without_any(rows, status, tmp_path, monkeypatch):
+def test_mutants_end_by_both_sides_and_fail_without_any(rows, status, tmp_path, monkeypatch, capsys):
     """A single mutant, designs, and a scan."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Processes, "started_early", lambda *_: nullcontext())
@@ -65,7 +65,9 @@ def test_mutants_end_by_both_sides_and_fail_without_any(rows, status, tmp_path, 
     monkeypatch.setattr(mutation_scan, "run_scan", lambda *_: (pd.DataFrame(rows), False))
     (tmp_path / "d.fa").write_text(">a\nAAAAAAAAAG\n>b\nAAAAAAAAGA\n")
     assert run("mutate", SAMPLE, "--scan", "A:2") == status
+    capsys.readouterr()
     assert run("mutate", SAMPLE, "--sequence", "d.fa#designs", "-o", "d") == status
+    assert capsys.readouterr().out.count("design-7") == len(rows)
     monkeypatch.setattr(mutation_scan, "run_scan", lambda *_: (pd.DataFrame(rows), True))
     assert run("mutate", SAMPLE, "--scan", "A:2") == 130
     if len(rows) == 1 and rows[0]["energy_mutant_kj_mol"]:
