@@ -285,8 +285,8 @@ def plot_ramachandran_classes(ends: Mapping[str, Structure]) -> PlainFigure:
                                strict=True):  # fmt: skip
                 side = "right" if x > 0.0 else "left"
                 text = f" {ends[name].residue(r)} "
-                panel.text(x, y, text, fontsize=7, ha=side, va="bottom" if y < 0.0 else "top")
-        panel.set_title(f"{CLASSES[kind].replace('_', ' ')}: {int((last.kind == kind).sum())}", fontsize=9)
+                panel.text(x, y, text, fontsize=8, ha=side, va="bottom" if y < 0.0 else "top")
+        panel.set_title(f"{CLASSES[kind].replace('_', ' ')}: {int((last.kind == kind).sum())}")
     for k, panel in enumerate(axes):
         panel.set_visible(k < len(kinds))
         if k + columns >= len(kinds):
