@@ -92,7 +92,7 @@
   if (document.querySelectorAll("h1").length !== 1) found.add("not one h1");
   if (document.querySelectorAll("main, [role=main]").length !== 1) found.add("not one main");
   for (const table of document.querySelectorAll("table")) {
-    if (!table.checkVisibility()) continue;
+    if (!table.checkVisibility() || table.role === "presentation") continue;
     if (!table.querySelector("th")) found.add("table without headings");
     const over = table.getBoundingClientRect().width > innerWidth, scroll = table.closest(".scroll, .table-wrapper, .cell_output");
     if (over && !scroll) found.add("table over the edge");

@@ -100,7 +100,8 @@ ROLES = (
     ('role="heading"', 'role="heading" aria-level="2"'),  # A role of heading requires its level.
     ('role="list" class="citation-list"', 'class="citation-list"'),  # Its children are not items of a list.
     ('class="indextable', 'role="presentation" class="indextable'),  # A table for the layout of an index.
-    ('class="output text_html"', 'tabindex="0" class="output text_html"'),  # It scrolls if it is wide.
+    ('class="output text_html"', 'tabindex="0" class="output text_html"'),  # They scroll if they are wide.
+    ('class="table-wrapper', 'tabindex="0" class="table-wrapper'),
 )
 OPTION = re.compile(r"(?<=[\s>\[(|])--?[A-Za-z][\w-]*")
 
