@@ -57,6 +57,8 @@ FLAGS = [
 AUDIT = (Path(__file__).parent / "looks.js").read_text(encoding="utf-8")
 """What a program can tell of a page: WCAG 2.1 contrast AA, names of controls and images, one heading, nothing
 cut, over the edge, on other text or empty."""
+DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Waits until a page is drawn: a frame later."""
 AXE = """() => axe.run({ resultTypes: ["violations"] }).then(({ violations }) => violations
   .filter(({ impact }) => ["serious", "critical"].includes(impact))
   .map(({ id, nodes }) => `axe: ${id}, ${nodes.length} times, as ${nodes[0].html.slice(0, 80)}`))"""
@@ -126,7 +128,7 @@ def axe_source() -> str | None:
 
 def audited(page: Any, printed: bool = False, axe: str | None = None) -> list[str]:
     """Complaints about an open page."""
-    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.evaluate(DRAWN)
     lines: list[str] = page.evaluate(AUDIT, printed)
     if axe:
         page.evaluate(axe)
@@ -176,7 +178,7 @@ def drawn(browser: Any, file: Path, picture: Path) -> None:
         page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(PATIENCE)
         page.goto(file.as_uri())
-        page.wait_for_timeout(1500)
+        page.evaluate(DRAWN)
         shots.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
         page.close()
     sheet = Image.new("RGB", (sum(shot.width for shot in shots) + 40, 1000), "#8a949e")
