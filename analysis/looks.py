@@ -59,7 +59,7 @@ AUDIT = (Path(__file__).parent / "looks.js").read_text(encoding="utf-8")
 cut, over the edge, on other text or empty."""
 DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """Waits until a page is drawn: a frame later."""
-AXE = """() => axe.run({ resultTypes: ["violations"] }).then(({ violations }) => violations
+AXE = """() => axe.run({ preload: false, resultTypes: ["violations"] }).then(({ violations }) => violations
   .filter(({ impact }) => ["serious", "critical"].includes(impact))
   .map(({ id, nodes }) => `axe: ${id}, ${nodes.length} times, as ${nodes[0].html.slice(0, 80)}`))"""
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from importlib import import_module
 
+import looks
 import pytest
 from fixtures.public_names import PUBLIC
 from fixtures.samples import ROOT
@@ -61,3 +62,24 @@ def test_no_page_is_wider_than_a_phone_and_all_are_dark_where_one_asks(site, bro
             ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
             darkest, *_, lightest = sorted(map(int, re.findall(r"\d+", ground)[:3]))
             assert lightest < 64 if scheme == "dark" else darkest > 192, path
+
+
+@pytest.mark.slow
+def test_pages_pass_the_audit(site, browser):
+    """Nothing overlaps or is cut, contrast, roles, one heading and one main; axe-core if it is installed."""
+    page, axe = (
+        browser.new_page(viewport={"width": 390, "height": 900}, color_scheme="dark"),
+        looks.axe_source(),
+    )
+    for path in site.rglob("*.html"):
+        if 'http-equiv="refresh"' not in path.read_text(encoding="utf-8"):
+            page.goto(path.as_uri())
+            assert looks.audited(page, axe=axe) == [], path
+
+
+@pytest.mark.slow
+def test_options_do_not_break_at_their_hyphens(site):
+    page = (site / "analysis/docs/commands.html").read_text(encoding="utf-8")
+    assert '<span class="option">--help</span>' in page and "white-space: nowrap" in (
+        site / "_static/site.css"
+    ).read_text(encoding="utf-8")
