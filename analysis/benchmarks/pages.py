@@ -27,7 +27,7 @@ MARKED = re.compile(r"(<!-- table ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 GUIDES = (
     "ten-minutes", "coming-from", "words", "relax", "minimise", "dynamics", "complexes", "search",
     "structures", "cluster", "files", "python",
-    "commands", "mechanisms", "architecture", "theory", "programs",
+    "commands", "mechanisms", "architecture", "theory", "programs", "pages",
 )  # fmt: skip
 """Pages of analysis/docs in the order of the contents; those of measured/ follow, by name."""
 
