@@ -35,6 +35,7 @@ import made
 import pages
 import pandas as pd
 import psutil
+from looks import GALLERY
 from made import HELD_OUT, MORE, RESULTS, ROOT
 
 
@@ -285,6 +286,13 @@ JOBS = (
     Job(
         "relaxation", f"{HERE}/pocket.py structures/6bj9_model_0.cif.gz -o DIR", 1,
         collects={"relaxation.webp": ("relaxation.webp", ())},
+    ),
+    *(
+        Job(
+            f"gallery-{stage}", f"python analysis/looks.py MORE --gallery DIR --stage {stage}", 10, apart=True,
+            collects={name: (name, ()) for kind in GALLERY for name in [f"{kind}-{stage}.webp"]},
+        )
+        for stage in ("before", "after")
     ),
     *(
         Job(
