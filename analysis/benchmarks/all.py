@@ -289,8 +289,9 @@ JOBS = (
     ),
     *(
         Job(
-            f"gallery-{stage}", f"python analysis/looks.py MORE --gallery DIR --stage {stage}", 10, apart=True,
+            f"gallery-{stage}", f"python analysis/looks.py MORE --gallery DIR --stage {stage}", 10,
             collects={name: (name, ()) for kind in GALLERY for name in [f"{kind}-{stage}.webp"]},
+            apart=True,
         )
         for stage in ("before", "after")
     ),
