@@ -16,10 +16,11 @@ from protochain.mechanics.motion import Drive, Equations, Load, Phase, System
 from protochain.mechanics.multibody import Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
+from protochain.mechanisms.elements import Conservative, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
-from protochain.mechanisms.explicit import CompiledLoops, CompiledSystem, arrays_of
-from protochain.mechanisms.loop_joints import DEPENDENT, ClosedEquations
+from protochain.mechanisms.explicit import CompiledLoops, CompiledSystem, compile_elements
+from protochain.mechanisms.loop_factors import DEPENDENT
+from protochain.mechanisms.loop_joints import ClosedEquations
 
 Coordinates = ArrayLike | Mapping[str, ArrayLike] | None
 """Values of all freedoms, of hinges by name, or by default of the start."""
@@ -77,18 +78,15 @@ class Assembly:
         """The mechanism as integrators see it."""
         loads = tuple(acting.load for acting in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
-        dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
-        compiled = all(isinstance(load, Dampers) for load in loads) and self.tree.is_plain
-        acts = None
-        if compiled and (joints is None or joints.rank is None):
-            acts = arrays_of(self.conservative, dampers)
-        if acts is not None:
-            if joints is None:
-                return CompiledSystem(self.tree, potential, loads=loads, acts=acts)
-            return CompiledLoops(self.tree, potential, loads=loads, joints=joints, acts=acts)
-        if joints is None:
-            return System(self.tree, potential, loads=loads, drive=self.drive)
-        return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
+        compiled = compile_elements(self.tree, self.conservative, loads, self.drive, joints)
+        common: dict[str, Any] = {
+            "tree": self.tree, "potential": potential, "loads": loads, "drive": self.drive,
+        }  # fmt: skip
+        if joints is not None:
+            common["joints"] = joints
+        if compiled is not None:
+            return (CompiledSystem if joints is None else CompiledLoops)(**common, compiled=compiled)
+        return (System if joints is None else ClosedEquations)(**common)
 
     @property
     def works(self) -> tuple[str, ...]:

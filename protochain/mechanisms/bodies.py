@@ -17,7 +17,8 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, HingeKind, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.mechanics.multibody.operational import Rows
-from protochain.mechanisms.loop_joints import DEPENDENT, LoopJoints
+from protochain.mechanisms.loop_factors import DEPENDENT
+from protochain.mechanisms.loop_joints import LoopJoints
 
 WORLD = "world"
 

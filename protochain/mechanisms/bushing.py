@@ -90,7 +90,7 @@ class Bushings(Rows):
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the wrenches of the springs."""
         rotation, origin = frames.rotation, frames.origin
-        energy: float = _bend(
+        energy: float = bend_bushings(
             rotation, origin, self.ends, self.points, self.axes_a, self.axes_b, self.stiffness, wrenches
         )
         if energy < 0.0:
@@ -104,7 +104,7 @@ class Bushings(Rows):
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the wrenches of the dampers."""
         rotation, origin = frames.rotation, frames.origin
-        _resist(rotation, origin, twists, self.ends, self.points, self.axes_b, self.damping, wrenches)
+        resist_bushings(rotation, origin, twists, self.ends, self.points, self.axes_b, self.damping, wrenches)
 
 
 @kernel
@@ -149,7 +149,7 @@ def _turned_away(rotation: Floats, a: int, axes_a: algebra.Matrix, along: algebr
 
 
 @kernel
-def _bend(
+def bend_bushings(
     rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes_a: Floats, axes_b: Floats,
     stiffness: Floats, wrenches: Floats,
 ) -> float:  # fmt: skip
@@ -177,10 +177,11 @@ def _bend(
 
 
 @kernel
-def _resist(
+def resist_bushings(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, points: Floats, axes: Floats,
     damping: Floats, wrenches: Floats,
 ) -> None:  # fmt: skip
+    """Add the wrenches of the dampers."""
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
         arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))

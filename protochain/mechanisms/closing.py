@@ -16,6 +16,7 @@ from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import direction, rotation_matrix
 from protochain.mechanisms.elements import Between
+from protochain.mechanisms.loop_factors import moved_by, order_along
 from protochain.mechanisms.loop_joints import CLOSED, LoopJoints, least_change
 
 X, Y, Z = np.eye(3)
@@ -110,6 +111,10 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     if not closings:
         return bodies
     tree = bodies.tree
+    ends = np.array(
+        [[bodies.number(body, joint.label) for body, _ in (joint.a, joint.b)] for joint in closings]
+    )
+    closings = [closings[k] for k in order_along(moved_by(tree.locked_links, ends))]
     fixed, q, undriven = _given_coordinates(bodies), bodies.q, tree.undriven_v
     for approached in _approaches(bodies, closings):
         parts = [joint.bind(bodies) for joint in approached]

@@ -1,51 +1,117 @@
-"""Steps of explicit methods in one kernel, for mechanisms of weights, springs, dampers and joints alone.
+"""Steps of explicit methods in one kernel, for mechanisms whose elements are arrays of numbers.
 
 A small mechanism's step is some microseconds of arithmetic, but dozens of calls in Python. Those are for what
-act by a function of the user's, remember or are driven, and for failing steps, whose refusals
-they word.
+act by functions of the state or remember, and for failing steps, whose refusals they word. Functions of time
+are evaluated before the steps.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from protochain.core.arrays import Floats, floats, freeze, read_only
-from protochain.mechanics.motion import DormandPrince, Equations, Phase, RungeKutta4, System
-from protochain.mechanics.multibody import Frames, articulated, kinematics
+from protochain.core.arrays import Floats, Integers, floats, freeze, read_only
+from protochain.mechanics.motion import DormandPrince, Drive, Equations, Load, Phase, RungeKutta4, System
+from protochain.mechanics.multibody import Frames, Tree, algebra, articulated, kinematics
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.hamilton import put_momenta
+from protochain.mechanics.multibody.massless import find_slack
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanics.multibody.rotations import put_rates
 from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
-from protochain.mechanisms import loop_joints
-from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
-from protochain.mechanisms.hinge_springs import Torsions, slow, wind
+from protochain.mechanisms import loop_factors, loop_joints
+from protochain.mechanisms.bushing import Bushings, bend_bushings, resist_bushings
+from protochain.mechanisms.compiled_loads import (
+    FRICTION,
+    HingeLoad,
+    arrays_of_hinges,
+    bend_axes,
+    press_hinges,
+    turn_hinges,
+)
+from protochain.mechanisms.elements import Conservative, Dampers, Gravity, weigh
+from protochain.mechanisms.hinge_springs import Stopped, Torsions, push_back, slow, wind
 from protochain.mechanisms.linear_springs import Springs, pull, resist
 from protochain.mechanisms.loop_joints import CLOSED, ITERATIONS, ClosedEquations, LoopJoints
+from protochain.mechanisms.motors import Drives
 
 _MOST, _LEAST = 100_000, 1e-9
 """Substeps of a step, and the shortest by the step, as of ``in_substeps``, which words what fails."""
+_AT_ONCE = 1024
+"""Steps for which functions of time are evaluated at once."""
 _NONE = np.empty(0, np.int64)
 _NO_JOINTS = LoopJoints(_NONE.reshape(0, 2), np.empty(0, np.bool_), np.empty((0, 2, 3)), np.empty((0, 2, 3)))
 _NO_SPRINGS = Springs(np.empty(0, "U1"), _NONE.reshape(0, 2), np.empty((0, 6)), np.empty((0, 3)))
 _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
+_NO_BUSHINGS = Bushings(
+    np.empty(0, "U1"), _NONE.reshape(0, 2), np.empty((0, 6)), *[np.empty((0, 3, 3))] * 2,
+    *[np.empty((0, 6))] * 2,
+)  # fmt: skip
 
 
-def arrays_of(parts: Sequence[Conservative], dampers: Sequence[Damping]) -> tuple[Any, ...] | None:
-    """Forces and dampers as arguments of a kernel. None if an element is of another kind."""
-    # Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms and
-    # constants of :class:`Torsions`. Dampers have the same, but gravity.
-    weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
-    other_parts = [part for part in parts if not isinstance(part, Gravity)]
-    if not all(isinstance(part, Springs | Torsions) for part in (*other_parts, *dampers)):
+class Compiled(NamedTuple):
+    """What acts, as arguments of a kernel."""
+
+    # Gravity, springs, torsions; springs and torsions that damp; the other elements, None without them.
+    arrays: tuple[Any, ...]
+    n_loads: int
+    motions: tuple[Any, ...]  # Functions of time, which return three numbers each.
+    units: Floats  # (k, 1): Internal values of their units.
+
+
+def compile_elements(
+    tree: Tree,
+    parts: Sequence[Conservative],
+    loads: Sequence[Load],
+    drive: Drive | None,
+    joints: LoopJoints | None,
+) -> Compiled | None:
+    """Elements as arguments of a kernel. None if one of them is a function of the state, or remembers."""
+    dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
+    known = Gravity, Springs, Torsions, Bushings, Stopped
+    pressed = [row for load in loads if isinstance(load, HingeLoad) for row in load.rows
+               if row.kind == FRICTION and row.constants[3]]  # fmt: skip
+    if (
+        not all(isinstance(part, known) for part in (*parts, *dampers))
+        or not all(isinstance(load, Dampers | HingeLoad) for load in loads)
+        or not (drive is None or isinstance(drive, Drives))
+        or (joints is not None and (joints.rank is not None or pressed))
+    ):
         return None
-    gravity = read_only(sum(weights, np.zeros(3)))
-    return (gravity, *_rows(other_parts)), _rows(dampers)
+    gravity = read_only(sum((part.acceleration for part in parts if isinstance(part, Gravity)), np.zeros(3)))
+    hinges, moving = arrays_of_hinges(loads, gravity)
+    drives = () if drive is None else drive.drives
+    units = [row.unit for row in moving] + ([] if drive is None else drive.units.tolist())
+    others = (Bushings, Stopped)
+    simple = tree.is_plain and all(isinstance(load, Dampers) for load in loads)
+    extras = None
+    if not simple or any(isinstance(part, others) for part in (*parts, *dampers)):
+        stops = [part for part in parts if isinstance(part, Stopped)]
+        bushings, damping = (
+            Bushings.concatenate([_NO_BUSHINGS, *(part for part in some if isinstance(part, Bushings))])
+            for some in (parts, dampers)
+        )
+        extras = (
+            _driven_arrays(tree), tree.rotors, hinges,
+            (bushings.ends, bushings.points, bushings.axes_a, bushings.axes_b, bushings.stiffness),
+            (damping.ends, damping.points, damping.axes_b, damping.damping),
+            read_only(np.array([(s.coordinate, s.freedom) for s in stops]).reshape(-1, 2), np.int64),
+            read_only(np.reshape([(s.low, s.high, s.stiffness) for s in stops], (-1, 3))),
+        )  # fmt: skip
+    arrays = (gravity, *_rows(parts)), _rows(dampers), extras
+    motions = *(row.motion for row in moving), *(driven.motion for driven in drives)
+    return Compiled(arrays, len(loads), motions, read_only(np.reshape(units, (-1, 1))))
+
+
+def _driven_arrays(tree: Tree) -> tuple[Any, ...]:
+    """Links with driven hinges locked, other freedoms, driven ones, their places; balls; if mass lacks."""
+    return (
+        tree.locked_links, tree.undriven_v, tree.driven_v, tree.driven_q, tree.balls, len(tree.massless) > 0,
+    )  # fmt: skip
 
 
 def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
@@ -58,11 +124,19 @@ def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
+@cache
+def _parts_of(tableau: Tableau) -> tuple[list[float], Integers]:
+    """Times between start and end of a step, by the step, and the places of stages and end among all."""
+    parts = np.concatenate([[0.0], np.sum(tableau.arrays[0], axis=1), [1.0]])
+    _, first, places = np.unique(np.round(parts, 12), return_index=True, return_inverse=True)
+    return parts[first[1:-1]].tolist(), read_only(places[1:], np.int64)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InOneKernel(Equations):
     """Equations whose explicit steps are one call. The rest is inherited from the other base."""
 
-    acts: tuple[Any, ...] = field(kw_only=True)
+    compiled: Compiled = field(kw_only=True)
 
     @cached_property
     def _arrays(self) -> tuple[Any, ...]:
@@ -70,16 +144,30 @@ class InOneKernel(Equations):
         tree, joints = self.tree, getattr(self, "joints", _NO_JOINTS)
         return (
             (tree.links, tree.bodies, tree.size),
-            *self.acts,
-            (joints.body, joints.turns, joints.point, joints.along),
+            self.compiled.n_loads + (self.drive is not None),
+            *self.compiled.arrays[:2],
+            (joints.body, joints.turns, joints.point, joints.along, joints.fronts(tree)),
         )
 
     def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
         """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
         tree = self.tree
         start, speed = floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
+        times, places = self._stage_times(tableau, at.time, h, 1)
+        targets = self._targets(times)
+        if targets is None:
+            return super().advance(tableau, at, h)
         # Copies may be written to, as in a march: the step is compiled once.
-        valid, *state, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
+        valid, *state, moved, quickened = _step(
+            h,
+            tableau.arrays,
+            self._arrays,
+            self.compiled.arrays[2],
+            start.copy(),
+            speed.copy(),
+            targets,
+            places,
+        )
         if not valid:
             return super().advance(tableau, at, h)
         return self._phase(state, at.time + h, at.work), moved, quickened
@@ -90,30 +178,80 @@ class InOneKernel(Equations):
         """March in one call, in substeps within a tolerance, if the method has one."""
         # -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many steps were
         # possible.
-        if steps < 1 or not len(at.q):
+        tolerance, n_marched, listed = getattr(method, "tolerance", 0.0), 0, []
+        moving = bool(self.compiled.motions)
+        if steps < 1 or not len(at.q) or (moving and (tolerance > 0.0 or stride > 100 * _AT_ONCE)):
             return [], at, 0
-        work = at.work.sum()
+        at_once = stride * max(1, _AT_ONCE // stride) if moving else steps
+        while n_marched < steps:
+            n = min(at_once, steps - n_marched)
+            rows, at, n_taken = self._march(method, at, h, n, stride, tolerance)
+            listed += rows
+            n_marched += n_taken
+            if n_taken < at_once:
+                break
+        return listed, at, n_marched
+
+    def _march(
+        self,
+        method: RungeKutta4 | DormandPrince,
+        at: Phase,
+        h: float,
+        steps: int,
+        stride: int,
+        tolerance: float,
+    ) -> tuple[list[Any], Phase, int]:
+        times, places = self._stage_times(method.tableau, at.time, h, steps)
+        targets = self._targets(times)
+        if targets is None:
+            return [], at, 0
+        # Arrays that may not be written to are of another type, for which the march is compiled again.
         n_taken, end, rows = _march(
-            h, method.tableau.arrays, self._arrays, floats(at.q, (self.tree.n_q,), "q"),
-            floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, stride,
-            getattr(method, "tolerance", 0.0), method.order, self.units,
+            h, method.tableau.arrays, self._arrays, self.compiled.arrays[2],
+            floats(at.q, (self.tree.n_q,), "q").copy(), floats(at.qd, (self.tree.n_v,), "qd").copy(),
+            at.work.copy(), at.time,
+            steps, stride, tolerance, method.order, self.units, targets, places,
         )  # fmt: skip
         if not n_taken:
             return [], at, 0
         times, q, qd, p, energies, works = (column[: n_taken // stride] for column in rows)
-        worked = works[:, None] if len(at.work) else np.empty((len(works), 0))
-        listed = zip(times.tolist(), q, qd, p, energies.tolist(), worked, [0.0] * len(works), strict=True)
+        listed = zip(times.tolist(), q, qd, p, energies.tolist(), works, [0.0] * len(works), strict=True)
         *state, total, time = end
-        return list(listed), self._phase((*state, total - work), time, at.work), n_taken
+        return list(listed), self._phase((*state, total - at.work), time, at.work), n_taken
+
+    def _stage_times(
+        self, tableau: Tableau, time: float, h: float, steps: int
+    ) -> tuple[list[float], Integers]:
+        """Times of the stages of steps, and the places of those of one step among them."""
+        if not self.compiled.motions:
+            return [], read_only(np.zeros(len(tableau.arrays[1]) + 1), np.int64)
+        inner, places = _parts_of(tableau)
+        times = [time]
+        for _ in range(steps):
+            times += [times[-1] + part * h for part in inner] + [times[-1] + h]
+        return times, places
+
+    def _targets(self, times: Sequence[float]) -> Floats | None:
+        """(len(times), k, 3) float: functions of time. None if one fails, which calls in Python report."""
+        motions = self.compiled.motions
+        if not motions:
+            return np.empty((1, 0, 3))
+        try:
+            values = np.array([[motion(time) for motion in motions] for time in times], dtype=float)
+        except Exception:  # Functions of the user's may raise anything.
+            return None
+        if values.shape != (len(times), len(motions), 3) or not np.all(np.isfinite(values)):
+            return None
+        return np.asarray(values * self.compiled.units)
 
     def _phase(self, state: Sequence[Any], time: float, work: Floats) -> Phase:
         """Phase at the end of steps, after work before them."""
-        q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, added = state
+        q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, forces, added = state
         frames = Frames(freeze(rotation), freeze(origin))
         factors_there = Articulated(self.tree, frames, *map(freeze, (packed, gain, pivot, root)))
-        if not self.loads:
+        if not len(forces):
             return Phase(q, qd, p, energy, torque, factors_there, time, work)
-        return Phase(q, qd, p, energy, torque, factors_there, time, work + added, damped[None])
+        return Phase(q, qd, p, energy, torque, factors_there, time, work + added, forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +266,18 @@ class CompiledLoops(InOneKernel, ClosedEquations):
 
 @kernel
 def _march(
-    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats, work: float,
-    time: float, steps: int, stride: int, tolerance: float, order: int, units: Floats,
+    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], extras: Any, start: Floats, speed: Floats,
+    work: Floats, time: float, steps: int, stride: int, tolerance: float, order: int, units: Floats,
+    targets: Floats, places: Integers,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
-    n, total, now, n_taken = steps // stride, work, time, 0
+    n, total, now, n_taken = steps // stride, work.copy(), time, 0
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
-    ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
-    last = _step(0.0, tableau, arrays, start.copy(), speed.copy())
+    ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty((n, len(work)))
+    at_start, times_of_step = np.zeros_like(places), np.max(places)
+    last = _step(0.0, tableau, arrays, extras, start.copy(), speed.copy(), targets, at_start)
     for i in range(steps):
-        current, possible, elapsed, spent, part = last, True, 0.0, total, h
+        current, possible, elapsed, spent, part = last, True, 0.0, total.copy(), h
         for _ in range(_MOST):
             if not abs(h - elapsed) > 1e-12 * abs(h):
                 break
@@ -145,7 +285,9 @@ def _march(
             if abs(part) <= _LEAST * abs(h):
                 possible = False
                 break
-            tried = _step(part, tableau, arrays, current[1], current[2])
+            tried = _step(
+                part, tableau, arrays, extras, current[1], current[2], targets, places + i * times_of_step
+            )
             size = 0.0 if tried[0] else np.inf
             if tolerance > 0.0 and tried[0]:
                 for k in range(len(units)):
@@ -154,7 +296,8 @@ def _march(
             # As in_substeps: 0.9 of the estimated substep, within bounds.
             factor = 5.0 if size == 0.0 else min(5.0, max(0.2, 0.9 * size ** (-1.0 / order)))
             if size <= 1.0:
-                current, elapsed, spent = tried, elapsed + part, spent + tried[13]
+                current, elapsed = tried, elapsed + part
+                spent += tried[13]
             else:
                 factor = min(factor, 0.9)
             part *= factor
@@ -173,92 +316,156 @@ def _march(
 
 @kernel
 def _step(
-    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats
-) -> tuple[Any, ...]:
+    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], extras: Any, start: Floats, speed: Floats,
+    targets: Floats, places: Integers,
+) -> tuple[Any, ...]:  # fmt: skip
     """Take a step, and close the loops."""
     # -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
-    # torques of dampers, and their work; errors of displacement and velocities.
-    (a, b, error_weights), (tree, acts, dampers, joints) = tableau, arrays
+    # torques of loads and the drive (k, n_v), and their work (k,); errors of displacement and velocities.
+    (a, b, error_weights), (tree, n_loads, acts, dampers, joints) = tableau, arrays
     links, bodies, _ = tree
     n, n_v, s = len(bodies), len(speed), len(b)
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
-    gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
+    gain, pivot, root = np.zeros((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
     frames, factors = (rotation, origin), (packed, gain, pivot, root)
-    wrenches, loads, torques_damped, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
-    slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
-    damped, twists = np.zeros(n_v), np.empty((n, 6))
-    valid, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
-    # After the stages the step itself; after the step, as often as loops need, what closes them.
-    for stage in range(s + 1 + ITERATIONS):
+    wrenches, loads, torques, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
+    slopes, rates, reactions = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v)), np.zeros((n, 6))
+    forces, work, correction = np.zeros((n_loads, n_v)), np.zeros(n_loads), np.zeros(n_v)
+    valid, closed, energy, q, qd = True, len(joints[0]) == 0, 0.0, start.copy(), speed.copy()
+    # After the stages the step itself; after the step, as often as loops need, what closes them, and with
+    # loads the forces there.
+    for stage in range(s + 2 + ITERATIONS):
         i, inside = min(stage, s), stage < s
+        aims = targets[places[i]]
         if stage <= s:
-            _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
+            _put_stage(h, a[i] if inside else b, i, tree, extras, aims, slopes, rates, start, speed, x, q, qd)
         kinematics.outward_frames(links, bodies, q, rotation, origin)
-        valid, energy = _act(tree, acts, frames, q, wrenches, x)
-        if inside and len(dampers[0]) + len(dampers[3]) > 0:
-            work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, torques_damped)
-            wrenches += loads
-            x += torques_damped
-        if not (valid and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
+        valid, energy = _act(tree, acts, extras, frames, q, wrenches, x)
+        if n_loads > 0:
+            _load(tree, dampers, extras, frames, q, qd, aims, loads, wrenches, x, forces)
+        moves = inside or (closed and extras is not None)
+        torques[:] = x
+        if not (valid and _factors_at(moves, tree, extras, aims, qd, frames, factors, wrenches, loads, x)):
+            valid = False
+            break
+        if moves and not _press(tree, extras, frames, factors, qd, wrenches, torques, forces, x):
             valid = False
             break
         if inside:
-            articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
             rates[i] = x
-        if len(joints[0]) == 0:
+        if len(joints[0]) > 0 and (moves or not closed):
+            gap = _satisfy_joints(
+                moves, tree, extras, joints, frames, factors, qd, x, loads, reactions, correction
+            )
             if inside:
+                rates[i] += correction
+            elif closed:
+                x += correction
+            elif gap <= CLOSED:
+                qd += correction
+                closed = True
+                if n_loads > 0 or extras is not None:
+                    continue
+            else:
+                valid = stage < s + ITERATIONS
+                kinematics.move_along(links, correction, q)
+                if not valid:
+                    break
                 continue
-            break
-        gap = _satisfy_joints(inside, tree, joints, frames, factors, qd, x, loads, torques_damped)
+        _drive(
+            tree, extras, frames, qd, rates[i] if inside else x, wrenches, reactions, torques, loads, forces
+        )
         if inside:
-            rates[i] += torques_damped
-        elif gap <= CLOSED:
-            qd += torques_damped
+            for k in range(n_loads):
+                work[k] += h * b[i] * np.dot(forces[k], qd)
+        elif closed:
             break
-        else:
-            valid = stage < s + ITERATIONS
-            kinematics.move_along(links, torques_damped, q)
     torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
     if valid:
-        _act(tree, acts, frames, q, wrenches, x)
         kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
-        torque += x
-        if len(dampers[0]) + len(dampers[3]) > 0:
-            _damp(tree, dampers, frames, qd, twists, loads, damped, torques_damped)
-            torque += damped
-        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, torques_damped)
+        torque += torques
+        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, torques)
     for j in range(s):
         for k in range(n_v):
             moved[k] += h * error_weights[j] * slopes[j, k]
             quickened[k] += h * error_weights[j] * rates[j, k]
     return (
-        valid, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work,
-        moved, quickened,
+        valid, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, forces, work, moved,
+        quickened,
     )  # fmt: skip
 
 
 @kernel
-def _damp(
-    tree: tuple[Any, ...], dampers: tuple[Any, ...], frames: tuple[Floats, Floats], qd: Floats,
-    twists: Floats, loads: Floats, damped: Floats, torques: Floats,
-) -> float:  # fmt: skip
-    """Write wrenches and torques of dampers, and both as torques (n_v,), ``damped``. Return their power."""
+def _load(
+    tree: tuple[Any, ...], dampers: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], q: Floats,
+    qd: Floats, aims: Floats, loads: Floats, wrenches: Floats, x: Floats, forces: Floats,
+) -> None:  # fmt: skip
+    """Write the torques of loads (k, n_v), and add them to wrenches and torques ``x``."""
     (links, bodies, _), (rotation, origin) = tree, frames
     ends, points, springs, _, freedoms, torsions = dampers
-    kinematics.outward_twists(links, bodies, rotation, origin, qd, twists)
-    loads[:], torques[:] = 0.0, 0.0
-    resist(rotation, origin, twists, ends, points, springs, loads)
-    slow(freedoms, torsions, qd, torques)
-    twists[:] = loads
-    kinematics.inward_torques(links, bodies, rotation, origin, twists, damped)
-    damped += torques
-    return np.dot(damped, qd)
+    forces[:] = 0.0
+    if extras is not None:
+        turn_hinges(links, bodies, extras[1], extras[0][4], extras[2], q, qd, aims, forces)
+        for k in range(len(forces)):
+            x += forces[k]
+    damps = len(ends) + len(freedoms) > 0
+    if extras is not None:
+        damps = damps or len(extras[4][0]) > 0
+    if damps:
+        twists, damped, torques = np.empty_like(loads), np.empty_like(x), np.zeros_like(x)
+        kinematics.outward_twists(links, bodies, rotation, origin, qd, twists)
+        loads[:] = 0.0
+        resist(rotation, origin, twists, ends, points, springs, loads)
+        if extras is not None:
+            bushing_ends, places, axes, constants = extras[4]
+            resist_bushings(rotation, origin, twists, bushing_ends, places, axes, constants, loads)
+        slow(freedoms, torsions, qd, torques)
+        wrenches += loads
+        x += torques
+        # The load of all dampers is the first.
+        kinematics.inward_torques(links, bodies, rotation, origin, loads, damped)
+        forces[0] = damped + torques
+
+
+@kernel
+def _press(
+    tree: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], factors: tuple[Any, ...], qd: Floats,
+    wrenches: Floats, torques: Floats, forces: Floats, x: Floats,
+) -> bool:  # fmt: skip
+    """Add friction by forces. Return False if a hinge jams."""
+    if extras is None:
+        return True
+    possible: bool = press_hinges(
+        tree, extras[0], frames, factors, extras[2], qd, wrenches, torques, forces, x
+    )
+    return possible
+
+
+@kernel
+def _drive(
+    tree: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], qd: Floats, qdd: Floats,
+    wrenches: Floats, reactions: Floats, torques: Floats, loads: Floats, forces: Floats,
+) -> None:  # fmt: skip
+    """Write the torques of the drive, the last of ``forces``: what its motion needs beyond all others."""
+    (links, bodies, _), (rotation, origin) = tree, frames
+    if extras is None:
+        return
+    _, _, driven, _, balls, _ = extras[0]
+    if len(driven) > 0:
+        bent, needed = qdd.copy(), np.empty(len(qd))
+        bend_axes(balls, qd, bent, -1.0)
+        outward_loads(links, bodies, rotation, origin, qd, bent, loads)
+        loads -= wrenches
+        loads -= reactions
+        kinematics.inward_torques(links, bodies, rotation, origin, loads, needed)
+        for k in driven:
+            forces[-1, k] = needed[k] + extras[1][k] * qdd[k] - torques[k]
 
 
 @kernel
 def _put_stage(
-    h: float, weights: Floats, i: int, tree: tuple[Any, ...], slopes: Floats, rates: Floats, start: Floats,
-    speed: Floats, x: Floats, q: Floats, qd: Floats,
+    h: float, weights: Floats, i: int, tree: tuple[Any, ...], extras: Any, aims: Floats, slopes: Floats,
+    rates: Floats, start: Floats, speed: Floats, x: Floats, q: Floats, qd: Floats,
 ) -> None:  # fmt: skip
     """Write coordinates and velocities of a stage by the previous rates, and its displacement's rate."""
     x[:] = 0.0
@@ -270,14 +477,18 @@ def _put_stage(
             qd[k] += weight * rates[j, k]
     q[:] = start
     kinematics.move_along(tree[0], x, q)
+    if extras is not None:
+        _, _, driven, driven_places, _, _ = extras[0]
+        for j in range(len(driven)):
+            q[driven_places[j]], qd[driven[j]] = aims[j - len(driven), 0], aims[j - len(driven), 1]
     slopes[i] = qd
     put_rates(tree[0], x, slopes[i])
 
 
 @kernel
 def _act(
-    tree: tuple[Any, ...], acts: tuple[Any, ...], frames: tuple[Floats, Floats], q: Floats, wrenches: Floats,
-    torques: Floats,
+    tree: tuple[Any, ...], acts: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], q: Floats,
+    wrenches: Floats, torques: Floats,
 ) -> tuple[bool, float]:  # fmt: skip
     """Write wrenches (nb, 6) and torques (n_v,). Return whether all forces have directions, and energy."""
     gravity, ends, points, springs, coordinates, freedoms, torsions = acts
@@ -285,56 +496,93 @@ def _act(
     wrenches[:], torques[:] = 0.0, 0.0
     energy = weigh(tree[1], rotation, origin, gravity, wrenches)
     pulled = pull(rotation, origin, ends, points, springs, wrenches)
-    return pulled >= 0.0, energy + pulled + wind(coordinates, freedoms, torsions, q, torques)
+    possible = pulled >= 0.0
+    energy += pulled + wind(coordinates, freedoms, torsions, q, torques)
+    if extras is not None:
+        bushing_ends, places, axes_a, axes_b, stiffness = extras[3]
+        bent = bend_bushings(rotation, origin, bushing_ends, places, axes_a, axes_b, stiffness, wrenches)
+        possible = possible and bent >= 0.0
+        energy += bent + push_back(extras[5], extras[6], q, torques)
+    return possible, energy
 
 
 @kernel
 def _factors_at(
-    inside: bool, tree: tuple[Any, ...], qd: Floats, frames: tuple[Floats, Floats], factors: tuple[Any, ...],
-    wrenches: Floats, loads: Floats, x: Floats,
+    moves: bool, tree: tuple[Any, ...], extras: Any, aims: Floats, qd: Floats, frames: tuple[Floats, Floats],
+    factors: tuple[Any, ...], wrenches: Floats, loads: Floats, x: Floats,
 ) -> bool:  # fmt: skip
-    """Write factors, and within a step the accelerating torques. Return whether the factors exist."""
+    """Write factors. If it moves, overwrite torques by accelerations. Return whether the factors exist."""
     (links, bodies, _), (rotation, origin), (packed, gain, pivot, root) = tree, frames, factors
     articulated.put_rigid(rotation, bodies, packed)
     loads[:] = 0.0
-    if inside:
-        outward_loads(links, bodies, rotation, origin, qd, np.zeros(len(qd)), loads)
+    still, solution, solved = np.zeros(len(qd)), x, links
+    if extras is not None:
+        solved, undriven, driven, _, balls, massless = extras[0]
+        solution = x[undriven]
+        for j in range(len(driven)):
+            still[driven[j]] = aims[j - len(driven), 2]
+        bend_axes(balls, qd, still, -1.0)
+    if moves:
+        outward_loads(links, bodies, rotation, origin, qd, still, loads)
         loads -= wrenches
-    failed: int = articulated.factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x)
-    return failed < 0
+    failed: int = articulated.factorise(
+        solved, bodies, rotation, origin, packed, gain, pivot, root, loads, solution
+    )
+    if extras is not None:
+        slack = find_slack(solved, bodies, rotation, origin, packed, pivot, root) if massless else -1
+        failed = max(failed, slack)
+    if failed >= 0:
+        return False
+    if moves:
+        articulated.outward_rates(solved, bodies, rotation, origin, gain, root, loads, solution)
+        if extras is not None:
+            for j in range(len(driven)):
+                x[driven[j]] = aims[j - len(driven), 2]
+            x[undriven] = solution
+    return True
 
 
 @kernel
 def _satisfy_joints(
-    inside: bool, tree: tuple[Any, ...], joints: tuple[Any, ...], frames: tuple[Floats, Floats],
-    factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, correction: Floats,
+    moves: bool, tree: tuple[Any, ...], extras: Any, joints: tuple[Any, ...], frames: tuple[Floats, Floats],
+    factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, reactions: Floats, correction: Floats,
 ) -> float:  # fmt: skip
-    """Write accelerations inside a step, else the velocities, else the displacement that joints ask for."""
+    """Write accelerations if it moves, else the velocities, else the displacement that joints ask for."""
     # -> How far loops are open: after the step velocities are corrected once they are closed.
-    (links, bodies, size), (body, turns, point, along) = tree, joints
+    (links, bodies, size), (body, turns, point, along, fronts) = tree, joints
     (rotation, origin), (_, gain, pivot, root) = frames, factors
-    m, gap = len(body), 0.0
+    m, gap, solved, bent, solution = len(body), 0.0, links, qdd, correction
+    if extras is not None:
+        solved, undriven, _, _, balls, _ = extras[0]
+        bent, solution = qdd.copy(), np.empty(len(undriven))
+        bend_axes(balls, qd, bent, -1.0)
     error, rows = np.empty(m), np.zeros((m, 2, 6))
     loop_joints.put_rows(rotation, origin, body, turns, point, along, error, rows)
-    scales, coefficients, order, _ = loop_joints.factor_loops_at(
-        links, bodies, rotation, origin, gain, pivot, root, body, rows, size
+    scales, _, columns, spans, order = loop_factors.factor_loops_at(
+        solved, bodies, rotation, origin, gain, pivot, root, body, rows, size, fronts
     )
     for k in range(m):
         gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))
-    if inside:
-        error = -loop_joints.bends(links, bodies, rotation, origin, body, turns, point, along, qd, qdd)
+    if moves:
+        error = -loop_joints.bends(links, bodies, rotation, origin, body, turns, point, along, qd, bent)
     elif gap <= CLOSED:
         kinematics.outward_twists(links, bodies, rotation, origin, qd, loads)
         for k in range(m):
             error[k] = 0.0
             for side in range(2):
                 if body[k, side] >= 0:
-                    error[k] -= np.dot(rows[k, side], loads[body[k, side]])
+                    moment, force = algebra.pair(rows[k], side)
+                    omega, u = algebra.pair(loads, body[k, side])
+                    error[k] -= algebra.dot(moment, omega) + algebra.dot(force, u)
     else:
         error *= -1.0
-    loads[:], correction[:] = 0.0, 0.0
-    loop_joints.gather(body, rows, loop_joints.least_impulses(scales, coefficients, order, error), loads)
-    loads *= -1.0
-    articulated.inward_loads(links, bodies, rotation, origin, gain, pivot, loads, correction)
-    articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, correction)
+    reactions[:], solution[:], correction[:] = 0.0, 0.0, 0.0
+    loop_joints.gather(
+        body, rows, loop_factors.least_impulses(scales, columns, spans, order, error), reactions
+    )
+    loads[:] = -reactions
+    articulated.inward_loads(solved, bodies, rotation, origin, gain, pivot, loads, solution)
+    articulated.outward_rates(solved, bodies, rotation, origin, gain, root, loads, solution)
+    if extras is not None:
+        correction[undriven] = solution
     return gap

@@ -12,13 +12,10 @@ from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.compiled_loads import FRICTION, ITERATIONS, SAME, HingeLoad, HingeRow
 from protochain.mechanisms.element_arguments import amount
 from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.reactions import transmitted_forces
-
-_ITERATIONS = 100
-_SAME = 1e-12
-"""Change of friction from one iteration to the next, of the largest, that is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +113,9 @@ def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
         changes = [forces(replace(at, torque=torque + units[hinge.freedom])) - alone for hinge in pressed]
         size = np.linalg.norm(alone, axis=1)
         slip = np.array([hinge.against(qd, 1.0) - hinge.against(qd) for hinge in pressed])
-        for _ in range(_ITERATIONS):
+        for _ in range(ITERATIONS):
             before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", changes, slip * size), axis=1)
-            if np.max(np.abs(size - before)) <= _SAME * np.max(size):
+            if np.max(np.abs(size - before)) <= SAME * np.max(size):
                 return size
         label = pressed[int(np.argmax(np.abs(size - before)))].label
         raise MechanicsError(f"{label}: it jams at time {time:g}, as no force of its hinge balances "
@@ -129,7 +126,11 @@ def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
         by_freedom = {hinge.freedom: size for hinge, size in zip(pressed, pressing, strict=True)}
         return Applied(torques=_torques(hinges, qd, by_freedom))
 
-    return Load(apply)
+    rows = [
+        HingeRow(FRICTION, hinge.body, hinge.freedom, (hinge.torque, hinge.damping, hinge.speed, hinge.arm))
+        for hinge in hinges
+    ]
+    return HingeLoad(apply, rows=tuple(rows))
 
 
 def _torques(hinges: Sequence[Rubbing], qd: Floats, forces: Mapping[int, float]) -> Floats:

@@ -7,10 +7,11 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import optional
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.motion import Applied
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.compiled_loads import STOP, HingeLoad, HingeRow
 from protochain.mechanisms.element_arguments import amount, number
 from protochain.mechanisms.elements import Acting, Named, Rows
 from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, check_constants
@@ -123,7 +124,9 @@ class Stop(Named, noun="stop"):
                 f'{self.label}: hinge "{self.hinge}" begins at {bodies.q[place] / unit:g}, beyond its limits '
                 f"{self.low:g} and {self.high:g}; start between them"
             )
-        load = Load(bound.resist) if self.damping else None
+        constants = bound.low, bound.high, bound.stiffness, bound.damping
+        rows = (HingeRow(STOP, place, freedom, constants),)
+        load = HingeLoad(bound.resist, rows=rows) if self.damping else None
         return Acting(bound, load, dissipates=True, inside=True)
 
 
@@ -168,6 +171,18 @@ def wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats
         pull = constants[i, STIFFNESS] * turn
         energy += 0.5 * pull * turn
         torques[freedoms[i]] -= pull
+    return energy
+
+
+@kernel
+def push_back(places: Integers, limits: Floats, q: Floats, torques: Floats) -> float:
+    """Add the elastic torques of stops, of :class:`Stopped`. Return their energy."""
+    energy = 0.0
+    for i in range(len(places)):
+        at = q[places[i, 0]]
+        depth = at - min(max(at, limits[i, 0]), limits[i, 1])
+        torques[places[i, 1]] -= limits[i, 2] * depth
+        energy += 0.5 * limits[i, 2] * depth * depth
     return energy
 
 

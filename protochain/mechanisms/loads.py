@@ -16,6 +16,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.compiled_loads import TORQUE, HingeLoad, HingeRow
 from protochain.mechanisms.element_arguments import answer, number, numbers
 from protochain.mechanisms.elements import Acting, Named
 
@@ -97,7 +98,7 @@ class HingeTorque(Named, noun="torque"):
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return it as a load."""
-        freedom = bodies.freedom(self.hinge, self.label)[1]
+        place, freedom = bodies.freedom(self.hinge, self.label)
         torque, by_state = _evaluator(self.value, bodies, f"{self.label}: its value", number)
 
         def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
@@ -105,7 +106,14 @@ class HingeTorque(Named, noun="torque"):
             torques[freedom] = torque(time, q, qd, frames)
             return Applied(torques=torques)
 
-        return Acting(load=Load(apply, by_state), inside=True, hinges=(self.hinge,))
+        load = Load(apply, by_state)
+        if not by_state:
+            value = self.value
+            row = HingeRow(TORQUE, place, freedom, (0.0 if callable(value) else float(value),))
+            if callable(value):
+                row = row._replace(motion=lambda time: (value(time), 0.0, 0.0))
+            load = HingeLoad(apply, False, (row,))
+        return Acting(load=load, inside=True, hinges=(self.hinge,))
 
 
 def _law(value: Any, label: str, check: Check) -> Any:

@@ -1,7 +1,7 @@
 """Joints that close loops: errors, rows of these on the twists, accelerations, and equations of motion."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from protochain.mechanics.multibody.kinematics import Frames, end_of, outward_tw
 from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
 from protochain.mechanics.multibody.operational import Rows, row_matrix
 from protochain.mechanics.multibody.rotations import hinge_accelerations
-from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_upper
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
+from protochain.mechanics.multibody.tree import Tree
+from protochain.mechanisms.loop_factors import DEPENDENT, factor_loops_at, find_fronts, least_impulses
 
-DEPENDENT = 1e-9
-"""Part of an equation that no other has, by the size it could have, below which it is rounding. Loops are
-closed to 1e-12."""
 CLOSED = 1e-12
 """Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""
 ITERATIONS = 20
@@ -41,6 +38,7 @@ class LoopJoints:
     along: Floats  # (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
     # Number of independent equations where the loops are closed, if it is larger nearby; else None.
     rank: int | None = None
+    _fronts: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("body", np.int64), ("turns", np.bool_), ("point", float), ("along", float)):
@@ -51,6 +49,13 @@ class LoopJoints:
         error, wrench = np.empty(len(self.body)), np.zeros((len(self.body), 2, 6))
         put_rows(frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench)
         return error, Rows(self.body, wrench)
+
+    def fronts(self, tree: Tree) -> tuple[Any, ...]:
+        """Order in which :func:`factor_loops_at` eliminates the equations."""
+        if self._fronts.get("tree") is not tree:
+            self._fronts.update(tree=tree, fronts=tuple(find_fronts(tree.locked_links, self.body)))
+        fronts: tuple[Any, ...] = self._fronts["fronts"]
+        return fronts
 
     def matrix(self, tree: Tree, frames: Frames) -> Floats:
         """(m, n_v) float: derivatives of the errors by the freedoms, in radians and sizes of the tree."""
@@ -82,10 +87,12 @@ class FactoredLoops:
     rows: Rows  # Rates of these.
     # (m,): Factors that scale the rows Y of G M^-1/2 to a length of one, 0 if no motion changes them.
     scales: Floats
-    # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
-    coefficients: Floats
-    order: Integers
     lengths: Floats  # (m,): Lengths of rows, by what they could be.
+    # (r, k): Y = C Q, with r orthonormal rows Q; of column p of C the rows from spans[p, 0] to spans[p, 1].
+    # The rows ``order`` (r,) of C are lower triangular.
+    columns: Floats
+    spans: Integers
+    order: Integers
     rank: int | None  # As of :class:`LoopJoints`.
 
     def rates(self, qd: Floats) -> Floats:
@@ -94,10 +101,18 @@ class FactoredLoops:
         # Wrenches of the world, body -1, are zero.
         return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
 
+    @property
+    def coefficients(self) -> Floats:
+        """(m, r) float: C."""
+        out = np.zeros((len(self.scales), len(self.order)))
+        for p, (start, end) in enumerate(self.spans):
+            out[start:end, p] = self.columns[p, : end - start]
+        return out
+
     def impulses(self, target: Floats) -> Floats:
         """Impulses (m,) of the joints that change the rates of the errors by ``target`` (m,)."""
         if self.rank is None:
-            impulses: Floats = least_impulses(self.scales, self.coefficients, self.order, target)
+            impulses: Floats = least_impulses(self.scales, self.columns, self.spans, self.order, target)
             return impulses
         # Of a matrix of the rank of closed loops, which counts what an equation changes by what it could.
         scales, weighted = self.scales * self.lengths, self.coefficients * self.lengths[:, None]
@@ -118,13 +133,11 @@ class FactoredLoops:
 
 def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     """Factorise loop joints at one pose."""
-    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], G M^-1 G^T = Y Y^T. A row of Y has only the
-    # freedoms on the paths from its bodies to the root. O(m n_v r).
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
     parts = factor_loops_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
-        factors.root, rows.body, rows.wrench, tree.size,
+        factors.root, rows.body, rows.wrench, tree.size, joints.fronts(tree),
     )  # fmt: skip
     return FactoredLoops(factors, error, rows, *parts, joints.rank)
 
@@ -186,111 +199,13 @@ class ClosedEquations(Equations):
 
 
 @kernel
-def factor_loops_at(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, body: Integers, wrench: Floats, size: float,
-) -> tuple[Floats, Floats, Integers, Floats]:  # fmt: skip
-    """Scales, coefficients, order and lengths of :class:`FactoredLoops`."""
-    m, n_v = len(body), links[-1, V]
-    y, scales, lengths = np.zeros((m, n_v)), np.zeros(m), np.zeros(m)
-    for i in range(m):
-        # The square of the largest length that y could have decides what is rounding. Loads of the two bodies
-        # pass inward one after the other: those of bodies that are fixed to each other cancel.
-        largest = 0.0
-        for side in range(2):
-            moment, force = algebra.pair(wrench[i], side)
-            b = body[i, side]
-            while b >= 0:
-                k = links[b, V]
-                width = links[b + 1, V] - k
-                if width == 6:
-                    x = np.array([moment[0], moment[1], moment[2], force[0], force[1], force[2]])
-                    solve_lower(root[links[b, Q] - k], 6, x)
-                    y[i, k : k + 6] += x
-                    largest += np.dot(x, x)
-                if width == 1:
-                    axis = algebra.hinge_axis(rotation, b)
-                    along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
-                    y[i, k] += along / np.sqrt(pivot[b])
-                    turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
-                    push = dot(force, force)
-                    largest += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
-                p = links[b, PARENT]
-                if p >= 0:
-                    moment = add(moment, cross(algebra.lever(origin, b, p), force))
-                if width == 1:
-                    g, h = algebra.pair(gain, b)
-                    moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
-                b = p
-        length = np.sqrt(np.dot(y[i], y[i]))
-        if length > DEPENDENT * np.sqrt(largest):
-            scales[i], lengths[i] = 1.0 / length, length / np.sqrt(largest)
-        y[i] *= scales[i]
-    coefficients, order = _orthonormalise(y, lengths)
-    return scales, coefficients, order, lengths
-
-
-@kernel
-def _orthonormalise(y: Floats, lengths: Floats) -> tuple[Floats, Integers]:
-    """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these."""
-    # Modified Gram-Schmidt with pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
-    # Next is the row whose rest exceeds its rounding, an inverse length, by the largest factor.
-    m, rank = len(y), min(y.shape)
-    coefficients, order, left = np.zeros((m, rank)), np.empty(rank, np.int64), np.sqrt(np.sum(y * y, axis=1))
-    for r in range(rank):
-        best, largest = -1, DEPENDENT
-        for i in range(m):
-            if left[i] * lengths[i] > largest:
-                best, largest = i, left[i] * lengths[i]
-        if best < 0:
-            return coefficients[:, :r].copy(), order[:r]
-        unit = y[best] / left[best]
-        order[r], coefficients[best, r], left[best] = best, left[best], 0.0
-        for i in range(m):
-            if left[i] > 0.0:
-                coefficients[i, r] = np.dot(y[i], unit)
-                y[i] -= coefficients[i, r] * unit
-                left[i] = np.sqrt(np.dot(y[i], y[i]))
-                if left[i] * lengths[i] <= DEPENDENT:
-                    left[i] = 0.0
-    return coefficients, order
-
-
-@kernel
-def least_impulses(scales: Floats, coefficients: Floats, order: Integers, target: Floats) -> Floats:
-    """Impulses (m,), scaled of least norm, that change rates by ``target`` (m,)."""
-    # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = target, and C^T z = c.
-    # Without Q these are as stable as with it (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
-    r, x, top = len(order), np.zeros(len(scales)), coefficients[order]
-    c, square = scales[order] * target[order], coefficients.T @ coefficients
-    solve_lower(top, r, c)
-    if r < np.count_nonzero(scales) and cholesky(square, r):
-        # Redundant equations: c of least squares and z = C (C^T C)^-1 c, once more for what is left.
-        for _ in range(2):
-            c += _solve(square, coefficients.T @ (scales * target - coefficients @ c))
-        for _ in range(2):
-            x += coefficients @ _solve(square, c - coefficients.T @ x)
-    else:
-        solve_upper(top, r, c)
-        x[order] = c
-    return scales * x
-
-
-@kernel
-def _solve(factor: Floats, x: Floats) -> Floats:
-    """Overwrite x by the solution with a matrix of this Cholesky factor. Return it."""
-    solve_lower(factor, len(x), x)
-    solve_upper(factor, len(x), x)
-    return x
-
-
-@kernel
 def gather(body: Integers, wrench: Floats, x: Floats, out: Floats) -> None:
     """Add wrenches on the bodies, times x."""
     for i in range(len(body)):
         for side in range(2):
             if body[i, side] >= 0:
-                out[body[i, side]] += x[i] * wrench[i, side]
+                moment, force = algebra.pair(wrench[i], side)
+                algebra.add_pair(scale(x[i], moment), scale(x[i], force), out, body[i, side])
 
 
 @kernel

@@ -10,9 +10,10 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import Applied, Drive, Load
+from protochain.mechanics.motion import Applied, Drive
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.compiled_loads import MOTOR, HingeLoad, HingeRow
 from protochain.mechanisms.element_arguments import amount, answer, number
 from protochain.mechanisms.elements import Acting, Named
 
@@ -115,19 +116,31 @@ class Motor(Named, noun="motor"):
             torques[freedoms] = np.clip(torque, -self.limit, self.limit)
             return Applied(torques=torques)
 
-        return Acting(load=Load(apply), inside=True, hinges=names)
+        rows = [
+            HingeRow(MOTOR, place, freedom, (self.stiffness, self.damping, self.limit), drive.motion, unit)
+            for place, freedom, drive, unit in zip(places, freedoms, self.follow.values(), units, strict=True)
+        ]
+        load = HingeLoad(apply, rows=tuple(rows), feed_forward=self.feed_forward)
+        return Acting(load=load, inside=True, hinges=names)
 
 
-def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
+@dataclass(frozen=True, eq=False)
+class Drives:
     """All drives as one, in the order of the tree."""
-    ordered = sorted(drives, key=lambda driven: bodies.hinge(driven.name))
-    units = np.array([bodies.unit(driven.name) for driven in ordered])
 
-    def drive(time: float) -> tuple[Floats, Floats, Floats]:
-        q, qd, qdd = np.array([driven.at(time) for driven in ordered]).T * units
+    drives: Sequence[Driven]
+    units: Floats  # Internal values of their units.
+
+    def __call__(self, time: float) -> tuple[Floats, Floats, Floats]:
+        """Coordinates, rates and accelerations."""
+        q, qd, qdd = np.array([driven.at(time) for driven in self.drives]).T * self.units
         return q, qd, qdd
 
-    return drive
+
+def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drives:
+    """All drives as one, in the order of the tree."""
+    ordered = sorted(drives, key=lambda driven: bodies.hinge(driven.name))
+    return Drives(ordered, np.array([bodies.unit(driven.name) for driven in ordered]))
 
 
 def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None:
