@@ -140,7 +140,7 @@ def _compile(kernel: Any, store: "Store", by_numba: Callable[[Any], Any], inner:
 
 
 def _add(kernel: Any, by_numba: Callable[[Any], None], compiled: Any) -> None:
-    """Add compiled code to those of a kernel, without its lines and types, which are large."""
+    """Add compiled code to a kernel, without its lines and types, which are large."""
     compiled.fndesc.typemap = compiled.fndesc.calltypes = None
     compiled = compiled._replace(type_annotation="", metadata=None)
     if not compiled.library.is_inner:

@@ -118,7 +118,9 @@ def document_fields(kind: type[Made]) -> type[Made]:
     The comment is above or behind the field. It may begin with a unit, as ``nm: Distance.``, or with a shape
     and unit in place of the type, as ``(n, 3) float, nm: Positions.``
     """
-    kind.__doc__ = _Documentation(kind, kind.__doc__ or "")  # type: ignore[assignment]
+    documentation = _Documentation(kind, kind.__doc__ or "")
+    # ``help`` does not read the descriptor of a class with a metaclass.
+    kind.__doc__ = documentation if type(kind) is type else documentation.docstring  # type: ignore[assignment]
     return kind
 
 
@@ -130,10 +132,10 @@ class _Documentation:
     text: str
 
     def __get__(self, instance: object, owner: type) -> str:
-        return self._composed
+        return self.docstring
 
     @cached_property
-    def _composed(self) -> str:
+    def docstring(self) -> str:
         entries: dict[str, str] = {}
         for base in filter(is_dataclass, self.kind.__mro__):
             for above, name, annotation, behind in _FIELD.findall(_source(base)):
