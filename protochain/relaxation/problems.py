@@ -78,14 +78,16 @@ class Problems:
         structure, outliers = self.structure, self.violations
         n, residue_of = structure.n_atoms, structure.atom_residue
         bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
-        has_violation = np.zeros(structure.n_residues, dtype=bool)
+        excused, counted = np.zeros((2, structure.n_residues), dtype=bool)
         joints = (outliers.bonds, (0, 1)), (outliers.angles_ca_c_n, (1, 2)), (outliers.angles_c_n_ca, (0, 1))
-        for atoms, ends in joints:
-            is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
-            has_violation[residue_of[atoms[is_bond & self.concerns(atoms)]]] = True
-        for atoms in (outliers.clashes, outliers.within, outliers.covalent):
-            has_violation[residue_of[atoms[self.concerns(atoms)]]] = True
-        return np.asarray(outliers.per_residue & has_violation)
+        rows = [
+            (atoms, np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded) & self.concerns(atoms))
+            for atoms, ends in joints
+        ]
+        rows += [(a, self.concerns(a)) for a in (outliers.clashes, outliers.within, outliers.covalent)]
+        for atoms, counts in rows:
+            excused[residue_of[atoms[~counts]]] = counted[residue_of[atoms[counts]]] = True
+        return np.asarray(outliers.per_residue & ~(excused & ~counted))
 
     def residues(self, planar: bool) -> NDArray[np.bool_]:
         """(nr,) bool: residues with problems to mend, with twisted peptide bonds if ``planar``."""

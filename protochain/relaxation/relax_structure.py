@@ -126,7 +126,8 @@ def relax_structure(
     judged: Any = CachedEnergy(energy)
     restraint_list = settings.restraints
     user_restraints = (Restraints.of(first, restraint_list),) if restraint_list else ()
-    relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, mobile, user_restraints)
+    some = None if mobile.all() else mobile
+    relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, some, user_restraints)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
         rounds = partial(relaxer.rounds, first.positions, excluded, settings.max_outer_iterations)
@@ -235,7 +236,8 @@ def _verdict(
     if settings.score_only:
         return Status.MEASURED, f"measured without a step: {measured}"
     problems = end.problems
-    broken = int((problems.violations.per_residue & ~replace(problems, moving=None).mendable()).sum())
+    whole = problems if problems.moving is None else replace(problems, moving=None)
+    broken = int((whole.violations.per_residue & ~whole.mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += breaks if broken else ""
     lines = describe_problems(problems)

@@ -179,7 +179,7 @@ WRITTEN = {
     "modes": {"output": ("-o d", "d/modes.csv", "d/minimum.pdb", "d/mode-1.dcd", "d/report.html")},
     "validate": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
-        "changes": ("--changes {0}", "a.csv"),
+        "changes": ("--changes {0}", "a.csv"), "report": ("--report {0}", "a.html"),
     },
     "score": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),

@@ -79,10 +79,10 @@ def test_runs_repeat_exactly_where_sums_are_in_order_and_nothing_is_drawn(
 
 
 def test_openmms_methods_need_a_system():
-    without = SimpleNamespace(system=None)
+    without = SimpleNamespace(system=None, atoms=None)
     with pytest.raises(pc.ProtochainError, match="requires an OpenMM System"):
         RECIPES["openmm"].check(without)
-    RECIPES["openmm"].check(SimpleNamespace(system="some"))
+    RECIPES["openmm"].check(SimpleNamespace(system="some", atoms=None))
     RECIPES["lbfgs"].check(without)
 
 
