@@ -193,8 +193,8 @@ def _command(words: list[str], lines: bool = False) -> Cells:
 
 
 def _lines(text: str) -> Iterator[tuple[str, str]]:
-    """The lines printed, but for times, and that kernels are compiled."""
-    text = re.sub("compiling kernels .*\n", "", text)
+    """The lines printed, but for times, and lines that only a slow machine prints."""
+    text = re.sub("compiling kernels .*\n|.* % accepted, .*\n", "", text)
     text = re.sub(r"(seconds )?[\d.]+(?(1)| (s|ns/day)\b)", "# s", text.replace(f"{Path.cwd()}/", ""))
     timed = r" +[\d.]+$" if "time s\n" in text else "$"
     for k, line in enumerate(re.sub(timed, "", each) for each in text.splitlines()):
