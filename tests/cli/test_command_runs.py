@@ -34,7 +34,7 @@ class Solution:
     def provenance(self):
         return (f"STATUS {self.status}",)
 
-    def record(self):
+    def record(self, terms=True):
         beside = {"ca_rmsd_angstrom": 0.125, "ca_rmsd_as_filed_angstrom": 1.5, "frame": "where it was"}
         return dict.fromkeys(KEYS) | beside | {
             "method": "m", "status": self.status, "message": self.message,

@@ -1,6 +1,5 @@
 """``minimise``: what its settings become, what a checkpoint compares, how an outcome is judged."""
 
-import hashlib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -52,19 +51,21 @@ def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     assert run.settings(Start(c, told())) == {
         "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,
         "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "curvature": True,
-        "engine": "native", "device": "cpu", "double_precision": True,
-        "system": "abc", "start": hashlib.sha256(c.structure.positions.tobytes()).hexdigest(),
+        "engine": "native", "device": "cpu", "double_precision": True, "accuracy": 0.001,
+        "hydrogen_mass": c.hydrogen_mass, "system": "abc", "start": c.structure.positions_fingerprint,
     }  # fmt: skip
 
 
-KEPT = {0: np.zeros((2, 3), dtype=np.float32), 4: np.ones((2, 3), dtype=np.float32)}
+ROWS = (0, 4)
+"""Rows of the trace with recorded positions."""
 
 
 def judged(done, energy=None, held="", **settings):
     c = chain("ala10.pdb")
     frame = Frame(c.structure, held)
     recorded = {"rows": [{"evaluations": 3}], "alphas": [c.structure.positions[c.structure.alpha_carbons]]}
-    record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, recorded_frames=lambda: KEPT)
+    moved = {row: c.structure.positions + row for row in ROWS}
+    record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, recorded_frames=lambda: moved)
     return minimise_structure._judge(
         Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5
     )
@@ -85,7 +86,11 @@ def test_an_outcome_in_torsions_is_judged_by_its_largest_torque():
     assert np.array_equal(held.x, at.x) and str(held.frame) == "held by a restraint"
     assert held.ca_rmsd_angstrom == pytest.approx(found.ca_rmsd_angstrom, abs=1e-9)
     assert held.ca_rmsd_as_filed_angstrom > found.ca_rmsd_as_filed_angstrom + 1e-3
-    assert found.frame_rows.tolist() == [0, 4] and np.array_equal(found.frames, list(KEPT.values()))
+    assert found.frame_rows.tolist() == [*ROWS]
+    # Both frames are the start, moved as a whole, and superposed on it when they are read.
+    assert found.frames.dtype == np.float32
+    assert found.frames == pytest.approx(np.array([c.structure.positions] * 2), abs=1e-5)
+    assert held.frames[1] == pytest.approx(c.structure.positions + ROWS[1], abs=1e-5)
     size = torsions.residual(torsions.torque(at, FORCES))
     assert found.end.max_torque == size and found.status == Status.STALLED
     assert found.message == (
