@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, beyond, components, group_members, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure.molecule import residues
@@ -77,7 +77,7 @@ def cross_links(structure: Structure) -> np.ndarray:
         first_piece, second_piece = piece[structure.bonds[row]]
         cut[row] = first_piece == second_piece
         piece[piece == second_piece] = first_piece
-    return cut
+    return read_only(cut, np.bool_)
 
 
 @per_structure

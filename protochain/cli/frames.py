@@ -148,7 +148,8 @@ def run(
                 resume=resume, force=force, watch=watch,
             )  # fmt: skip
     if result.was_complete:
-        print(f"{result.csv}: is complete, nothing to do", file=sys.stderr)
+        note = "settings are not compared; --force starts again"
+        print(f"{result.csv}: is complete, nothing to do ({note})", file=sys.stderr)
     if report:
         from protochain.batches.frame_report import write_report
 

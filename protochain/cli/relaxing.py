@@ -134,12 +134,14 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
 
 def _posebusters(ligands: list[dict[str, Any]]) -> list[str]:
     """Summary of PoseBusters' tests, a line."""
+    from protochain.structure.molecule.residues import Residue
+
     before, after = ([m[f"posebusters_passed_{when}"] for m in ligands] for when in ("start", "end"))
     if not ligands or None in after:
         reason = "PoseBusters is not installed" if ligands else "no ligand has known chemistry"
         return [f"PoseBusters' tests: not run, {reason}"]
     failed = [
-        f"{m['name']} {m['chain']}:{m['residue']} fails {', '.join(m['posebusters_failed_end'])}"
+        f"{Residue(m['chain'], m['residue'], m['name'])} fails {', '.join(m['posebusters_failed_end'])}"
         for m in ligands if not m["posebusters_passed_end"]
     ]  # fmt: skip
     n = plural(len(ligands), "ligand")

@@ -144,7 +144,7 @@ def _add(kernel: Any, by_numba: Callable[[Any], None], compiled: Any) -> None:
     compiled.fndesc.typemap = compiled.fndesc.calltypes = None
     compiled = compiled._replace(type_annotation="", metadata=None)
     if not compiled.library.is_inner:
-        # Those of inner kernels, too.
+        # Environments of inner kernels, too.
         environments = tuple(compiled._find_referenced_environments())
         for environment in environments:
             compiled.codegen.set_env(environment.env_name, environment)
@@ -275,8 +275,10 @@ class Store:
         # compiles, it does so anyway. Loaded code needs no more than its memory manager.
         rtsys.initialize(context)
         key = self._key(signature, context)
-        with suppress(Exception):  # As above.
+        try:
             return key and self._load(key, context)
+        except Exception as error:  # As above.
+            _LOG.warning("%s: compiled code cannot be loaded (%s); compiling again", self.cache_path, error)
         return None
 
     def _load(self, key: Any, context: Any) -> Any:

@@ -17,7 +17,7 @@ STOP, FRICTION, MOTOR, TORQUE = range(4)
 """Kinds of rows."""
 ITERATIONS = 100
 SAME = 1e-12
-"""Change of friction from one iteration to the next, of the largest, that is none."""
+"""Largest relative change of friction in an iteration that counts as convergence."""
 
 
 class HingeRow(NamedTuple):
@@ -53,9 +53,9 @@ def arrays_of_hinges(loads: Sequence[Load], gravity: Floats) -> tuple[tuple[Any,
         if load.feed_forward:
             feed_forward.append((len(rows), len(rows) + len(load.rows)))
         for row in load.rows:
-            rows.append((row.kind, number, row.place, row.freedom, len(moving) if row.motion else -1))
+            rows.append((row.kind, number, row.place, row.freedom, -1 if row.motion is None else len(moving)))
             constants.append((*row.constants, *[0.0] * (4 - len(row.constants))))
-            moving += [row] if row.motion else []
+            moving += [] if row.motion is None else [row]
     return (
         read_only(np.array(rows, np.int64).reshape(-1, 5), np.int64),
         read_only(np.reshape(constants, (-1, 4))),

@@ -1,8 +1,8 @@
 """Steps of explicit methods in one kernel, for mechanisms whose elements are arrays of numbers.
 
-A small mechanism's step is some microseconds of arithmetic, but dozens of calls in Python. Those are for what
-act by functions of the state or remember, and for failing steps, whose refusals they word. Functions of time
-are evaluated before the steps.
+A small mechanism's step is some microseconds of arithmetic, but dozens of calls in Python. Calls in Python
+remain for elements that depend on the state or have a memory. They also report failing steps. Functions of
+time are evaluated before the steps.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ _NO_BUSHINGS = Bushings(
 
 
 class Compiled(NamedTuple):
-    """What acts, as arguments of a kernel."""
+    """Elements, as arguments of a kernel."""
 
     # Gravity, springs, torsions; springs and torsions that damp; the other elements, None without them.
     arrays: tuple[Any, ...]
@@ -72,13 +72,14 @@ def compile_elements(
 ) -> Compiled | None:
     """Elements as arguments of a kernel. None if one of them is a function of the state, or remembers."""
     dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
-    known = Gravity, Springs, Torsions, Bushings, Stopped
+    # A subclass may compute other forces.
+    compiled_kinds = Gravity, Springs, Torsions, Bushings, Stopped
     pressed = [row for load in loads if isinstance(load, HingeLoad) for row in load.rows
                if row.kind == FRICTION and row.constants[3]]  # fmt: skip
     if (
-        not all(isinstance(part, known) for part in (*parts, *dampers))
-        or not all(isinstance(load, Dampers | HingeLoad) for load in loads)
-        or not (drive is None or isinstance(drive, Drives))
+        not all(type(part) in compiled_kinds for part in (*parts, *dampers))
+        or not all(type(load) in (Dampers, HingeLoad) for load in loads)
+        or not (drive is None or type(drive) is Drives)
         or (joints is not None and (joints.rank is not None or pressed))
     ):
         return None
@@ -108,7 +109,7 @@ def compile_elements(
 
 
 def _driven_arrays(tree: Tree) -> tuple[Any, ...]:
-    """Links with driven hinges locked, other freedoms, driven ones, their places; balls; if mass lacks."""
+    """Arrays of driven hinges and balls, and whether a body has no mass."""
     return (
         tree.locked_links, tree.undriven_v, tree.driven_v, tree.driven_q, tree.balls, len(tree.massless) > 0,
     )  # fmt: skip
@@ -129,7 +130,8 @@ def _parts_of(tableau: Tableau) -> tuple[list[float], Integers]:
     """Times between start and end of a step, by the step, and the places of stages and end among all."""
     parts = np.concatenate([[0.0], np.sum(tableau.arrays[0], axis=1), [1.0]])
     _, first, places = np.unique(np.round(parts, 12), return_index=True, return_inverse=True)
-    return parts[first[1:-1]].tolist(), read_only(places[1:], np.int64)
+    # The kernel's own arrays may be written to: an array of the other type would compile the step again.
+    return parts[first[1:-1]].tolist(), places[1:].astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -224,7 +226,7 @@ class InOneKernel(Equations):
     ) -> tuple[list[float], Integers]:
         """Times of the stages of steps, and the places of those of one step among them."""
         if not self.compiled.motions:
-            return [], read_only(np.zeros(len(tableau.arrays[1]) + 1), np.int64)
+            return [], np.zeros(len(tableau.arrays[1]) + 1, np.int64)
         inner, places = _parts_of(tableau)
         times = [time]
         for _ in range(steps):
@@ -237,7 +239,8 @@ class InOneKernel(Equations):
         if not motions:
             return np.empty((1, 0, 3))
         try:
-            values = np.array([[motion(time) for motion in motions] for time in times], dtype=float)
+            # Copied at once: a function may return the same array at all times.
+            values = np.array([[np.array(motion(time), float) for motion in motions] for time in times])
         except Exception:  # Functions of the user's may raise anything.
             return None
         if values.shape != (len(times), len(motions), 3) or not np.all(np.isfinite(values)):

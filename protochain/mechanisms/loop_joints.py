@@ -52,9 +52,10 @@ class LoopJoints:
 
     def fronts(self, tree: Tree) -> tuple[Any, ...]:
         """Order in which :func:`factor_loops_at` eliminates the equations."""
-        if self._fronts.get("tree") is not tree:
-            self._fronts.update(tree=tree, fronts=tuple(find_fronts(tree.locked_links, self.body)))
-        fronts: tuple[Any, ...] = self._fronts["fronts"]
+        saved = self._fronts.get("of")
+        if saved is None or saved[0] is not tree:
+            saved = self._fronts["of"] = tree, tuple(find_fronts(tree.locked_links, self.body))
+        fronts: tuple[Any, ...] = saved[1]
         return fronts
 
     def matrix(self, tree: Tree, frames: Frames) -> Floats:

@@ -18,7 +18,7 @@ from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.molecule.chirality import atom_names, changed_stereocentres, mirror_images
 from protochain.structure.molecule.model import Structure
-from protochain.validation.fixed import count_fixed, fixed_faults
+from protochain.validation.fixed import FixedFaults, count_fixed, fixed_faults
 from protochain.validation.ligands import describe_double_bonds, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
@@ -150,8 +150,13 @@ def describe_rejections(structure: Structure, x: Floats, concerns: Concerns = ev
     ]  # fmt: skip
     inverted = atom_names(structure, np.array(centres, dtype=np.int64))
     problems += [f"inverted stereocentres: {abridge(inverted)}"] if inverted else []
-    double_bonds = inverted_double_bonds(structure, x)
-    bonds = describe_double_bonds(structure, double_bonds[concerns(double_bonds)])
+    # A substituent that moves may invert a double bond of fixed atoms.
+    near = structure.neighbours
+    double_bonds = [
+        ends for ends in inverted_double_bonds(structure, x).tolist()
+        if concerns(np.array([[*ends, *near[ends[0]], *near[ends[1]]]]))[0]
+    ]  # fmt: skip
+    bonds = describe_double_bonds(structure, np.array(double_bonds, dtype=np.int64).reshape(-1, 2))
     problems += [f"double bonds with inverted E/Z: {abridge(bonds)}"] if bonds else []
     n_fixed, n = count_fixed(structure)
     problems += [f"{n_fixed} of {n} residues of the protein have no parameters: fixed"] * (2 * n_fixed > n)
@@ -161,8 +166,9 @@ def describe_rejections(structure: Structure, x: Floats, concerns: Concerns = ev
     if len(wrong_pairs):
         lines = abridge(bond_lines(structure, x, wrong_pairs), 3)
         problems.append(f"{plural(len(wrong_pairs), 'bond')} of a wrong length: {lines}; {_REMEDY}")
-    faults = fixed_faults(structure, x).summary(structure, x)
-    return [*problems, faults] if faults else problems
+    faults = FixedFaults(*(pairs[concerns(pairs)] for pairs in fixed_faults(structure, x)))
+    summary = faults.summary(structure, x)
+    return [*problems, summary] if summary else problems
 
 
 def _force_status(
@@ -197,7 +203,7 @@ def _force_status(
             return status, f"{status}: {measured}"
         met = False
     # A minimum with overlapping atoms, or with a bond through a ring, is not a usable result.
-    overlap = [found for found in overlaps(structure, x) if concerns(np.array([found.atoms]))[0]]
+    overlap = [pair for pair in overlaps(structure, x) if concerns(np.array([pair.atoms]))[0]]
     threaded = [
         ring for ring in threaded_rings(structure, x) if concerns(np.array([[*ring.atoms, *ring.bond]]))[0]
     ]

@@ -69,9 +69,15 @@ class Problems:
         """Bonds, angles and distances beyond their limits."""
         return violations(self.structure, self.x)
 
+    @property
+    def counted_rings(self) -> list[ThreadedRing]:
+        """Threaded rings that count."""
+        return [ring for ring in self.rings if self.concerns(np.array([[*ring.atoms, *ring.bond]]))[0]]
+
     def of_rings(self) -> list[int]:
-        """Residues of threaded rings and of the bonds through them."""
-        return [int(self.structure.atom_residue[i]) for ring in self.rings for i in (*ring.atoms, *ring.bond)]
+        """Residues of threaded rings that count, and of the bonds through them."""
+        rings = self.counted_rings
+        return [int(self.structure.atom_residue[i]) for ring in rings for i in (*ring.atoms, *ring.bond)]
 
     def mendable(self) -> NDArray[np.bool_]:
         """(nr,) bool: residues with violations, except violations of absent bonds at chain breaks only."""
@@ -93,6 +99,7 @@ class Problems:
         """(nr,) bool: residues with problems to mend, with twisted peptide bonds if ``planar``."""
         has_problem, residue_of = self.mendable(), self.structure.atom_residue
         has_problem[self.of_rings()] = True
-        for atoms in (self.overlaps, self.inversions, *([self.peptides] if planar else [])):
+        overlaps = self.overlaps[self.concerns(self.overlaps)]
+        for atoms in (overlaps, self.inversions, *([self.peptides] if planar else [])):
             has_problem[residue_of[atoms]] = True
         return has_problem

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from protochain.chains.frame import Frame
 from protochain.chains.restraint_list import Restraints, RestraintValue, describe_violations
@@ -18,6 +17,7 @@ from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, check_arguments
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import abridge, plural
+from protochain.core.processors import one_blas_thread
 from protochain.core.timings import measure_run, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import prepare_energy
@@ -126,10 +126,9 @@ def relax_structure(
     judged: Any = CachedEnergy(energy)
     restraint_list = settings.restraints
     user_restraints = (Restraints.of(first, restraint_list),) if restraint_list else ()
-    some = None if mobile.all() else mobile
-    relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, some, user_restraints)
-    # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
-    with _libraries().limit(limits=1, user_api="blas"):
+    moving = None if mobile[~structure.obstacle].all() else mobile
+    relaxer = Relaxer(first, judged, strength, settings.max_iterations, trace, moving, user_restraints)
+    with one_blas_thread():
         rounds = partial(relaxer.rounds, first.positions, excluded, settings.max_outer_iterations)
         ends = [relaxer.unmoved()] if settings.score_only else rounds()
     seconds = perf_counter() - trace.began
@@ -165,12 +164,6 @@ def relax_structure(
         move=move,
         moving=mobile,
     )
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Find libraries with thread pools, all loaded by now. The search costs as much as an energy."""
-    return ThreadpoolController()
 
 
 class _Trace:
@@ -236,8 +229,8 @@ def _verdict(
     if settings.score_only:
         return Status.MEASURED, f"measured without a step: {measured}"
     problems = end.problems
-    whole = problems if problems.moving is None else replace(problems, moving=None)
-    broken = int((whole.violations.per_residue & ~whole.mendable()).sum())
+    all_problems = problems if problems.moving is None else replace(problems, moving=None)
+    broken = int((all_problems.violations.per_residue & ~all_problems.mendable()).sum())
     breaks = f"; {plural(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += breaks if broken else ""
     lines = describe_problems(problems)
@@ -276,7 +269,7 @@ def _bonds_before(problems: Problems, nitrogens: Integers) -> list[str]:
 def describe_problems(problems: Problems) -> list[str]:
     """Names of the remaining problems."""
     lines = describe_rejections(problems.structure, problems.x, problems.concerns)
-    rings = [ring for ring in problems.rings if problems.concerns(np.array([[*ring.atoms, *ring.bond]]))[0]]
+    rings = problems.counted_rings
     lines += [abridge([*map(str, rings)], 2)] if rings else []
     if problems.fixed:  # Other overlaps are a clash.
         pairs = problems.overlaps[problems.concerns(problems.overlaps)].tolist()

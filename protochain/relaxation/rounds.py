@@ -98,7 +98,7 @@ class Relaxer:
         """Minimise from x (na, 3) nm, with fewer springs each round while violations or overlaps remain."""
         share, ends = np.where(excluded, 0.0, 1.0), list[RoundEnd]()
         # Weaken springs to wrong positions: they would prevent the turn of a C-beta, or of a peptide bond.
-        problems = Problems(self.structure, x)
+        problems = Problems(self.structure, x, self.moving)
         turning = self.structure.atom_residue[[*problems.inversions, *problems.reversed_peptides]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
@@ -108,7 +108,7 @@ class Relaxer:
             # Springs would pull the bonds back through the rings.
             share[problems.of_rings()] = 0.0
             before = sum(end.round.evaluations for end in ends)
-            ends.append(self._round(problems.x, share, strengths, before, bool(problems.rings)))
+            ends.append(self._round(problems.x, share, strengths, before, bool(problems.counted_rings)))
             last = ends[-1]
             problems = last.problems
             if not len(last.concerned) or len(ends) == max_rounds:

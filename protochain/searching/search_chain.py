@@ -180,11 +180,16 @@ class _Walks:
             [Finding.empty(landscape.chain.n_hinges, settings.n_replicas * (settings.method == "tempering"))]
             for _ in self.methods
         ]
-        self.identity = {
-            "search": settings.method,
-            **{name: value for name, value in settings.record().items() if name != "method"},
-            **run_identity(landscape.chain, landscape.energy),
-        }
+        # Only pieces in a folder have it. The fingerprint builds a System.
+        self.identity = (
+            {}
+            if folder is None
+            else {
+                "search": settings.method,
+                **{name: value for name, value in settings.record().items() if name != "method"},
+                **run_identity(landscape.chain, landscape.energy),
+            }
+        )
         self.n_pieces = [0] * settings.n_walkers
         if folder is not None and running.resume:
             for walker in range(settings.n_walkers):

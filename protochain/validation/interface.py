@@ -476,7 +476,7 @@ def _confidences(
     structure: Structure, parts: Sides, touching: Integers, metrics: Confidence | None
 ) -> dict[str, float | None]:
     """Columns of ``CONFIDENCES``, for a model identified by its header or confidence files."""
-    if metrics is None and structure.b_factor_quantity != "pLDDT":
+    if metrics is None and "_ma_" not in structure.header:
         return dict.fromkeys(CONFIDENCES)
     heavy = structure.atom_element != "H"
     per_residue = means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)

@@ -168,6 +168,40 @@ def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
         assert found == pytest.approx(exact, abs=1e-11)
 
 
+class Held(list):
+    """An empty list, which is false, that can be called."""
+
+    def __call__(self, t):
+        return 0.4, 0.0, 0.0
+
+
+def reused():
+    """A function of time that returns the same array at all times."""
+    out = np.zeros(3)
+
+    def turn(t):
+        out[:] = np.sin(t), np.cos(t), -np.sin(t)
+        return out
+
+    return turn
+
+
+@pytest.mark.parametrize(
+    ("target", "plain"),
+    [(Held(), lambda t: (0.4, 0.0, 0.0)), (reused(), lambda t: (np.sin(t), np.cos(t), -np.sin(t)))],
+    ids=("false", "reused"),
+)
+def test_targets_do_not_depend_on_the_kind_of_function(target, plain):
+    runs = []
+    for motion in (target, plain):
+        m = Mechanism(gravity=(0, 0, -9.81))
+        m.body("rod", 1.0, com=(0, 0, -0.5), inertia=0.1)
+        m.hinge("pin", "world", "rod", axis=Y)
+        m.motor("drive", {"pin": motion}, 50.0, 5.0)
+        runs.append(m.build().simulate(2.0, 0.01).q[-1])
+    assert np.array_equal(*runs)
+
+
 def test_what_a_kernel_cannot_know_takes_the_other_way():
     for more in (
         lambda m: m.torque("motor", "A", value=lambda t, state: t),

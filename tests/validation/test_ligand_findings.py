@@ -157,7 +157,7 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
         both | {"posebusters_passed_end": False, "posebusters_failed_end": ["bond_lengths"]},
     ]
     (line,) = _posebusters(ligands)
-    assert "0 of 2 ligands passed before, 1 after; LIG B:1 fails bond_lengths" in line
+    assert "0 of 2 ligands passed before, 1 after; B:LIG1 fails bond_lengths" in line
 
 
 def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):

@@ -1,7 +1,8 @@
 "use strict";
 // What all viewers of pages share: a ground that follows the scheme, buttons, names of residues, and jumps.
 const placeOf = (atom) => `${(atom.chain ?? "").trim()}:${atom.resi}${(atom.icode ?? "").trim()}`;
-const namedAtom = (atom) => `${atom.resn} ${placeOf(atom)}, atom ${atom.atom}`;
+const residueOf = (atom) => placeOf(atom).replace(":", `:${atom.resn}${/\d$/.test(atom.resn) ? " " : ""}`);
+const namedAtom = (atom) => `${residueOf(atom)}, atom ${atom.atom}`;
 const stages = [];
 function makeViewer(id) {
   const box = document.getElementById(id), stage = document.createElement("div"), tools = document.createElement("div");
@@ -40,16 +41,16 @@ function makeViewer(id) {
     if (!found.length) return false;
     const atom = found.find((each) => each.atom === "CA") ?? found[0];
     viewer.removeAllLabels();
-    label(atom, `${atom.resn} ${place}`);
+    label(atom, residueOf(atom));
     const at = { predicate: (each) => placeOf(each) === place };
     const touches = (a) => found.some((b) => (a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2 < 16);
     const near = new Set(viewer.selectedAtoms({}).filter(touches).map(placeOf));
-    viewer.addStyle({ predicate: (each) => near.has(placeOf(each)) }, { stick: { radius: 0.06 } });
+    const around = { predicate: (each) => near.has(placeOf(each)) };
+    viewer.addStyle(around, { stick: { radius: 0.06 } });
     viewer.addStyle(at, { stick: { radius: 0.15 } });
-    viewer.zoomTo(at);
-    viewer.zoom(0.35);
+    viewer.zoomTo(around);
     viewer.render();
-    readout.textContent = `${atom.resn} ${place}`;
+    readout.textContent = residueOf(atom);
     box.dataset.at = place;
     return true;
   };

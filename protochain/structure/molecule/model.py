@@ -322,14 +322,15 @@ class Structure(Value):
         """Heavy atoms lost from the file, without waters and atoms excluded by options."""
         return tuple(loss for repair in self.repairs for loss in repair.lost)
 
-    @property
+    @cached_property
     def b_factor_quantity(self) -> str:
         """Quantity in ``b_factor`` by the file: pLDDT, B factor, deviation between models, or unknown."""
         if "_ma_" in self.header:
             return "pLDDT"
         if with_header(self.header).cell.is_crystal():
             return B_FACTOR
-        return "deviation between models" if "models" in self.left_out else "unknown"
+        is_of_nmr = "models" in self.left_out and "NMR" in self.header.upper()
+        return "deviation between models" if is_of_nmr else "unknown"
 
     @cached_property
     def changes(self) -> tuple[str, ...]:
