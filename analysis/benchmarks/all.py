@@ -289,7 +289,7 @@ JOBS = (
     ),
     *(
         Job(
-            f"gallery-{stage}", f"python analysis/looks.py MORE --gallery DIR --stage {stage}", 10,
+            f"gallery-{stage}", f"python analysis/looks.py DIR/pages --gallery DIR --stage {stage}", 10,
             collects={name: (name, ()) for kind in GALLERY for name in [f"{kind}-{stage}.webp"]},
             apart=True,
         )

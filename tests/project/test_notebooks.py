@@ -23,7 +23,9 @@ PUBLIC = {package.__name__: set(package.__all__) for package in (*PACKAGES, *BEN
 PUBLIC["bench.files"] = {"damage", "fate", "file_kinds", "judge"}
 DRAWING = {
     "bench.studies", "bench.studies.omissions", "bench.studies.precision.curves",
-    "bench.studies.stability.page", "protochain.core.figure", "protochain.core.palette",
+    "bench.studies.stability.page", "protochain.comparison.plots", "protochain.core.figure",
+    "protochain.core.palette", "protochain.relaxation.record", "protochain.results.figures",
+    "protochain.results.viewer", "protochain.structure.write",
 }  # fmt: skip
 """Modules whose public names benchmarks also use, to draw figures from tables."""
 OURS = {"protochain", "bench"}
