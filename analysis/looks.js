@@ -93,7 +93,7 @@
   if (document.querySelectorAll("main, [role=main]").length !== 1) found.add("not one main");
   for (const table of document.querySelectorAll("table")) {
     if (!table.checkVisibility() || table.role === "presentation") continue;
-    if (!table.querySelector("th") && !table.matches(".indextable")) // Indexes of Sphinx.
+    if (!table.querySelector("th") && !table.matches(".indextable, .domainindex-table")) // Indexes of Sphinx.
       found.add("table without headings");
     const over = table.getBoundingClientRect().width > innerWidth, scroll = table.closest(".scroll, .table-wrapper, .cell_output");
     if (over && !scroll) found.add("table over the edge");

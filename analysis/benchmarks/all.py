@@ -382,7 +382,8 @@ def folder_of(name: str, output: Path) -> Path:
     if output != RESULTS:
         return output
     kinds = {**dict.fromkeys(NOTEBOOKS, "notebooks"), **dict.fromkeys(SCENES, "scenes")}
-    return ROOT / "analysis" / kinds.get(name.removesuffix(".ipynb"), "docs")
+    kinds |= {f"{kind}-{stage}": "results" for kind in GALLERY for stage in ("before", "after")}
+    return ROOT / "analysis" / kinds.get(Path(name).stem, "docs")
 
 
 def called(words: list[str], env: dict[str, str], seconds: float | None) -> int | None:

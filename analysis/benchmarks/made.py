@@ -140,7 +140,7 @@ def surroundings(**more: str) -> dict[str, str]:
 def command(words: list[str] | None = None) -> str:
     """Command of this process, or one, as others would type it: -o DIR, MORE for the folder of --more."""
     program, *given = words or ["python", *sys.argv]
-    folders = {"-o": "DIR", "--output": "DIR", "--kept": "KEPT", "--more": "MORE"}
+    folders = {"-o": "DIR", "--output": "DIR", "--gallery": "DIR", "--kept": "KEPT", "--more": "MORE"}
     shown = [
         folders.get(before) or _shown(word) for before, word in zip([program, *given], given, strict=False)
     ]
