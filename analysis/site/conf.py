@@ -102,6 +102,7 @@ ROLES = (
     ('class="indextable', 'role="presentation" class="indextable'),  # A table for the layout of an index.
     ('class="output text_html"', 'tabindex="0" class="output text_html"'),  # They scroll if they are wide.
     ('class="table-wrapper', 'tabindex="0" class="table-wrapper'),
+    ('<div class="math', '<div tabindex="0" class="math'),
 )
 OPTION = re.compile(r"(?<=[\s>\[(|])--?[A-Za-z][\w-]*")
 

@@ -56,7 +56,7 @@ class Movie:
 
     def _repr_html_(self) -> str:
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
-        return f'<iframe {frame} srcdoc="{escape(self.page)}"></iframe>'
+        return f'<iframe title="{escape(self.title)}" {frame} srcdoc="{escape(self.page)}"></iframe>'
 
     def __repr__(self) -> str:
         return f"<Movie of {self.title}: shown in notebooks>"

@@ -176,7 +176,7 @@ class View:
     def _repr_html_(self) -> str:
         page = render("viewer.html", alone=True, **scene(self.shown))
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
-        return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
+        return f'<iframe title="Structures" {frame} srcdoc="{escape(page)}"></iframe>'
 
     def __repr__(self) -> str:
         return f"<View of {', '.join(self.shown)}: shown in notebooks>"

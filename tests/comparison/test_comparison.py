@@ -264,7 +264,7 @@ def test_equal_cost_is_the_lowest_energy_so_far(comparison, folder):
 def test_a_view_holds_all_it_needs(comparison):
     view = comparison.view()
     shown = view._repr_html_()
-    assert shown.startswith("<iframe sandbox=") and shown.count("<") == 2 and "start, kcm" in repr(view)
+    assert shown.startswith("<iframe title=") and shown.count("<") == 2 and "start, kcm" in repr(view)
 
 
 def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():

@@ -122,7 +122,7 @@ def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
 def test_a_structure_and_a_solution_can_be_looked_at():
     r = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", max_evaluations=3)
     assert list(pc.view(r).shown) == ["start", "lbfgs"]
-    assert pc.view(load("ala10.pdb"))._repr_html_().startswith("<iframe sandbox=")
+    assert pc.view(load("ala10.pdb"))._repr_html_().startswith("<iframe title=")
 
 
 def test_an_energy_of_other_atoms_is_refused():
