@@ -72,7 +72,7 @@ def data_url(figure: PlainFigure) -> str:
     """Figure as a data URL for a page: an SVG, or a PNG if the SVG would be large."""
     content, kind = image(figure, "svg"), "svg+xml"
     if len(content) > _LARGE:
-        content, kind = image(figure, "png", dpi=150, transparent=True), "png"
+        content, kind = image(figure, "png", dpi=120, transparent=True), "png"
     return f"data:image/{kind};base64," + base64.b64encode(content).decode()
 
 
