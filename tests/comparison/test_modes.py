@@ -204,13 +204,14 @@ def test_a_point_with_torques_is_no_minimum_whatever_its_curvature():
 
 def test_only_b_factors_of_a_crystal_are_compared():
     """pLDDT, deviations between models and columns without a cell are named, and left empty."""
-    crystal = load("3i40.pdb")
-    for quantity, s in {
-        "B factor": crystal,
-        "unknown": replace(crystal, header=""),
-        "deviation between models": replace(crystal, header="", left_out={"models": 9}),
-        "pLDDT": replace(crystal, header="data_\n_ma_qa_metric.name pLDDT\n"),
-    }.items():
+    crystal, nmr = load("3i40.pdb"), "data_\n_struct.title 'PEPTIDE, NMR, 10 STRUCTURES'\n"
+    for quantity, s in (
+        ("B factor", crystal),
+        ("unknown", replace(crystal, header="")),
+        ("unknown", replace(crystal, header="", left_out={"models": 9})),
+        ("deviation between models", replace(crystal, header=nmr, left_out={"models": 9})),
+        ("pLDDT", replace(crystal, header="data_\n_ma_qa_metric.name pLDDT\n")),
+    ):
         r = pc.normal_modes(pc.build_chain(s, "phi psi"), Net(s), k=12)
         in_file, is_b = r.fluctuations()["ca_b_factor_in_file_angstrom2"], quantity == "B factor"
         assert s.b_factor_quantity == quantity and in_file.notna().all() == in_file.notna().any() == is_b
