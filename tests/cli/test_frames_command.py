@@ -195,3 +195,19 @@ def test_sums_medians_and_worst_frames_are_of_their_columns(tmp_path, capsys):
     (named,) = re.findall("highest violations end: frames (.*)", said)
     assert re.findall(r"(\d+) \((\d+)\)", named) == [("1", "5"), ("3", "3"), ("2", "1")]
     assert re.findall(r"(\d+) frames with molecules up to (\d+) ", said) == [("2", "15")]
+
+
+@pytest.mark.parametrize("measures", [
+    "energy_start_kj_mol energy_end_reference_kj_mol ca_rmsd_angstrom seconds",
+    "violations clashscore_per_1000_atoms ramachandran_outliers rotamer_outliers lddt",
+    "total_kj_mol", "sum_total_kj_mol", "rmsd_angstrom tm_score lddt",
+    "energy_kj_mol buried_area_angstrom2 packing",
+])  # fmt: skip
+def test_the_median_of_every_measure_of_a_command_is_printed(tmp_path, capsys, measures):
+    names = measures.split()
+    values = {name: [0.0, 2.0 * k + 11.0, 99.0] for k, name in enumerate(names)}
+    table = pd.DataFrame({"frame": [0, 1, 2], "status": "converged", "largest_gap_angstrom": 0.0, **values})
+    table.to_csv(tmp_path / "t.csv", index=False)
+    of_frames._print(FramesRun(tmp_path / "t.csv", counts={"converged": 3}, written=3), None)
+    (medians,) = re.findall("medians: ([^;\n]*)", capsys.readouterr().out)
+    assert [int(text.split()[-1]) for text in medians.split(", ")] == [11 + 2 * k for k in range(len(names))]

@@ -116,8 +116,12 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     assert "without stiffness, which is 100.0 now" in refusal(*given, "--resume", "--stiffness", 100)
     shutil.copy(STRUCTURES / "ala10.pdb", here / "in" / "new.pdb")
     assert run(*given, "--resume") == 4
-    assert "4 structures: 3 converged, 1 refused" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "4 structures: 3 converged, 1 refused" in said.out and "replaced" not in said.err
     assert (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns == kept
+    assert run("relax", "in/ala.cif", "in/new.pdb", *given[2:], "--force") == 0
+    assert "relaxed.csv and " in capsys.readouterr().err
+    assert len(pd.read_csv(here / "out" / "relaxed.csv")) == 2
 
 
 @pytest.fixture(scope="module")
