@@ -200,7 +200,7 @@ def test_sums_medians_and_worst_frames_are_of_their_columns(tmp_path, capsys):
 @pytest.mark.parametrize("measures", [
     "energy_start_kj_mol energy_end_reference_kj_mol ca_rmsd_angstrom seconds",
     "violations clashscore_per_1000_atoms ramachandran_outliers rotamer_outliers lddt",
-    "total_kj_mol", "sum_total_kj_mol", "rmsd_angstrom tm_score lddt",
+    "total_kj_mol", "sum_total_kj_mol", "lddt rmsd_angstrom tm_score",
     "energy_kj_mol buried_area_angstrom2 packing",
 ])  # fmt: skip
 def test_the_median_of_every_measure_of_a_command_is_printed(tmp_path, capsys, measures):
