@@ -142,7 +142,7 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
 
 def test_what_says_that_something_is_left_out_or_ignored_is_ranked_as_a_loss():
     """It is then in the summary before all changes, and among the notes to act on."""
-    losses = {kind for kind in Kind if re.search("left out|ignored|of another configuration", kind.value.one)}
-    assert {kind for kind in losses if kind.value.rank > Rank.LOSS} == set()
-    silent = {kind for kind in losses if kind.value.rank is Rank.LOSS} - _ACTION
+    losses = {kind for kind in Kind if re.search("left out|ignored|of another configuration", kind.words.one)}
+    assert {kind for kind in losses if kind.words.rank > Rank.LOSS} == set()
+    silent = {kind for kind in losses if kind.words.rank is Rank.LOSS} - _ACTION
     assert silent == {Kind.ALTERNATES}

@@ -109,14 +109,14 @@ def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():
 @pytest.mark.parametrize("kind", Kind)
 def test_every_kind_of_repair_is_told_by_its_facts(kind):
     """Each stands in the sentence; what is said of many is not about one residue."""
-    names = {name.partition(".")[0] for _, name, _, _ in Formatter().parse(kind.value.one) if name}
+    names = {name.partition(".")[0] for _, name, _, _ in Formatter().parse(kind.words.one) if name}
     given = {name: FACTS.get(name, f"<{name}>") for name in names}
     told = str(Repair(kind, given))
     for name, value in given.items():
         if name != "last" and name != "first":
             assert all(str(each) in told for each in (value if isinstance(value, tuple) else (value,)))
-    assert "{" not in told and "{residue}" not in kind.value.many
-    assert not kind.value.many or kind.value.one.startswith("{residue}")
+    assert "{" not in told and "{residue}" not in kind.words.many
+    assert not kind.words.many or kind.words.one.startswith("{residue}")
 
 
 FACTS = {

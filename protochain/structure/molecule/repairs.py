@@ -15,10 +15,8 @@ from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.markup import abridge, plural
 from protochain.structure.molecule.residues import Atom
 
-_SHOWN = 8
-"""Number of places, or structures, listed in a line about many changes."""
-_LOSS_WIDTH = 200
-"""Characters of the report of the losses of one structure."""
+_SHOWN = 8  # Number of places, or structures, listed in a line about many changes.
+_LOSS_WIDTH = 200  # Characters of the report of the losses of one structure.
 KEEP_ALL = Argument("keep", "all")
 """Argument that includes removed molecules."""
 
@@ -46,24 +44,27 @@ class Words(NamedTuple):
 
 
 class Kind(Enum):
-    """Kinds of repairs, with their words."""
+    """Kinds of repairs, with their words: the template alone, or ``Words``."""
+
+    def __init__(self, *words: Any) -> None:
+        self.words = Words(*words)
 
     # Of the file and its models.
-    LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
-    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number below 1000: read as 0")
-    NO_ELEMENT = Words(
-        "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
-        "atom names"
+    LOWER_CASE = "{count:n atom record} in lower case read as upper case"
+    NOT_A_NUMBER = "occupancy of {count:n atom} is no number below 1000: read as 0"
+    NO_ELEMENT = (
+        "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived "
+        "from atom names"
     )
-    NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
-    INDENTED = Words("{count:n atom record} with blanks before the record name: read without these blanks")
-    SEGMENTS_JOINED = Words(
+    NO_ENDMDL = "{count:n model} without an ENDMDL record, taken to end where the next begins"
+    INDENTED = "{count:n atom record} with blanks before the record name: read without these blanks"
+    SEGMENTS_JOINED = (
         "{count:n atom record} after the END or ENDMDL record of line {line}: read as parts of one structure"
     )
-    CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
-    MOLECULES_RENUMBERED = Words("molecules that share number and name renumbered: {count} more")
-    ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
-    ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
+    CHAIN_RENAMED = "chain {before} called {after}: one before it has its id and numbers"
+    MOLECULES_RENUMBERED = "molecules that share number and name renumbered: {count} more"
+    ATOMS_NUMBERED = "atoms that share a name numbered in {count:n molecule}"
+    ASSEMBLY = "assembly {name} built of {before:n chain}: chains {chains:8}"
     BLOCKS_LEFT_OUT = Words(
         "data block {used} used, others with atoms left out: {others:4}; give each its own file",
         rank=Rank.LOSS,
@@ -79,16 +80,16 @@ class Kind(Enum):
         "that it is complete",
         rank=Rank.LOSS,
     )
-    MADE_WHOLE = Words(
+    MADE_WHOLE = (
         "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
     )
-    IMAGE_MOVED = Words(
+    IMAGE_MOVED = (
         "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
         "those of {residues:6}"
     )
     # Of its residues.
-    ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
-    DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
+    ELEMENTS = "elements of {count:n atom} of standard residues corrected by their names, first {atom}"
+    DEUTERIUM = "{count:n deuterium atom} read as hydrogen"
     ALTERNATES = Words(
         "{residue}: alternate location {used} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
@@ -106,16 +107,16 @@ class Kind(Enum):
         "{residue}: {atoms} given more than once; the first of each kept",
         "atoms given more than once, the first of each kept",
     )
-    UNRESOLVED = Words("{count:n atom} of zero occupancy kept, in {residues:1}")
-    RENAMED = Words("{residue}: read as {name}")
-    STATE_NAMED = Words("{residue}: read as {name} in protonation state {state}")
+    UNRESOLVED = "{count:n atom} of zero occupancy kept, in {residues:1}"
+    RENAMED = "{residue}: read as {name}"
+    STATE_NAMED = "{residue}: read as {name} in protonation state {state}"
     NO_PLACE = Words(
         "{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing",
         "atoms at the origin, upon CA or over 15 angstrom away treated as missing",
     )
     VIRTUAL = Words("{residue}: pseudo-atoms {atoms} removed", "pseudo-atoms removed")
-    SITES = Words("{count:n virtual site} of {waters:n water} removed")
-    SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
+    SITES = "{count:n virtual site} of {waters:n water} removed"
+    SELENOMETHIONINE = "{residue}: selenomethionine converted to MET"
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",
         "modified residues converted to their standard parents",
@@ -125,9 +126,9 @@ class Kind(Enum):
         "modified residues converted to their standard parents",
         Rank.LOSS,
     )
-    CONVERTED_TO_D = Words("{residue}: converted to its D-amino acid {name}")
+    CONVERTED_TO_D = "{residue}: converted to its D-amino acid {name}"
     CUT_TO_D = Words("{residue}: converted to its D-amino acid {name}, {atoms} left out", rank=Rank.LOSS)
-    MIRRORED = Words("{residue}: D-amino acid, with the parameters of its mirror image")
+    MIRRORED = "{residue}: D-amino acid, with the parameters of its mirror image"
     MIRRORED_CUT = Words(
         "{residue}: D-amino acid, with the parameters of its mirror image, {atoms} left out", rank=Rank.LOSS
     )
@@ -137,8 +138,8 @@ class Kind(Enum):
         Rank.LOSS,
     )
     CAP = Words("{residue}: left out: this cap is not at the end of a chain", rank=Rank.LOSS)
-    ALONE = Words("{residue}: no part of a chain: it is bonded to no other residue")
-    TORN = Words("the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond")
+    ALONE = "{residue}: no part of a chain: it is bonded to no other residue"
+    TORN = "the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond"
     GAP = Words(
         "chain {last.chain_name} is broken between {last.number} and {first.number} ({length:.1f} angstrom): "
         "split there, with charged termini; to avoid it, model the missing residues",
@@ -150,32 +151,26 @@ class Kind(Enum):
         "caps built at breaks of chains",
     )
     CAP_AT_END = Words("{residue}: cap built at the end of the chain", "caps built at the ends of chains")
-    OXYGEN_TURNED = Words(
-        "{residue}: O turned for a cap, which has no room opposite to its place in the file"
-    )
-    NOT_CAPPED = Words("{residue}: not capped: {why}")
-    CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
-    CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
+    OXYGEN_TURNED = "{residue}: O turned for a cap, which has no room opposite to its place in the file"
+    NOT_CAPPED = "{residue}: not capped: {why}"
+    CHAIN_GOES_ON = "{last} and {first} are bonded: one chain, whose ids are kept"
+    CYCLIC = "chain {last.chain_name} is cyclic: {last} is bonded to {first}"
     # Hetero molecules.
     WATERS_LEFT_OUT = Words(
         "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
     )
     LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
-    KEPT = Words("{counts:8} kept with the protein")
-    KEPT_BY_ELEMENT = Words(
+    KEPT = "{counts:8} kept with the protein"
+    KEPT_BY_ELEMENT = (
         "{counts:8} kept with the protein ({bare:8} by element, unless the force field has parameters)"
     )
     PHOSPHATE = Words(
         "{residue}: phosphate of a lone nucleotide left out: the force fields do not have it", rank=Rank.LOSS
     )
-    COORDINATED = Words("{atom} is coordinated by {ends}: held at these distances by springs")
-    ION_HELD = Words(
-        "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
-    )
-    ION_MOVES = Words(
-        "{atom} is coordinated by {ends}: held at these distances by springs, and moves with them"
-    )
-    BONDED = Words("{atom} is bonded to {ends}: held at these distances by springs")
+    COORDINATED = "{atom} is coordinated by {ends}: held at these distances by springs"
+    ION_HELD = "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
+    ION_MOVES = "{atom} is coordinated by {ends}: held at these distances by springs, and moves with them"
+    BONDED = "{atom} is bonded to {ends}: held at these distances by springs"
     BOND_IGNORED = Words(
         "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
     )
@@ -184,61 +179,55 @@ class Kind(Enum):
         "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}",
         rank=Rank.LEFT_OUT,
     )
-    NEAR = Words("{count:n pair} of atoms as near as bonded ones, but not bonded in the file: {pairs:2}")
-    STAYS = Words(
-        "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
-    )
-    STAYS_UNKNOWN = Words("{residue} stays in place: {why}")
-    BOUND = Words("{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}")
-    COMPLEX = Words("{residue}: springs at the distances of the file in the place of the bonds of {atoms}")
-    MODIFIED = Words(
+    NEAR = "{count:n pair} of atoms as near as bonded ones, but not bonded in the file: {pairs:2}"
+    STAYS = "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
+    STAYS_UNKNOWN = "{residue} stays in place: {why}"
+    BOUND = "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}"
+    COMPLEX = "{residue}: springs at the distances of the file in the place of the bonds of {atoms}"
+    MODIFIED = (
         "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}"
     )
-    CHARGES_OF_MMFF94 = Words(
+    CHARGES_OF_MMFF94 = (
         "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
     )
-    CHARGES_OF_DICTIONARY = Words(
-        "{residue}: charges of the Chemical Component Dictionary, {charge} in total"
-    )
-    LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
-    NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
-    CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
-    CHARGE_UNSURE = Words(
+    CHARGES_OF_DICTIONARY = "{residue}: charges of the Chemical Component Dictionary, {charge} in total"
+    LINKED = "{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}"
+    NO_PARAMETERS = "the bond between {atoms:and} has no parameters: {why}"
+    CHARGED = "{residue}: charged for pH {ph:g}: {atoms}"
+    CHARGE_UNSURE = (
         "{residue}: the charge of {atoms} at pH {ph:g} is uncertain; give the molecule with charges"
     )
     INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
-    MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
-    STRAND = Words(
-        "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
-    )
-    GLYCAN = Words(
+    MOBILE = "{counts} with parameters of the force field: free to move, in torsions as a rigid body"
+    STRAND = "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
+    GLYCAN = (
         "{atoms:and} are bonded: the glycan of {count:n sugar} is free to move, with the parameters of "
         "GLYCAM-06j ({codes}), in torsions rigid with its residue"
     )
-    SACCHARIDE = Words(
+    SACCHARIDE = (
         "{count:n sugar} bonded to one another, {residue} first: free to move, with the parameters of "
         "GLYCAM-06j ({codes}), in torsions as a rigid body"
     )
-    OTHER_ANOMER = Words(
+    OTHER_ANOMER = (
         "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
     )
     SUGAR_INVERTED = Words("{residue}: of another configuration than its name says: {atoms}", rank=Rank.LOSS)
-    NUCLEOTIDES_STAY = Words(
+    NUCLEOTIDES_STAY = (
         "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
     )
     # Heavy atoms.
-    ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
-    INVERTED_IN_FILE = Words("inverted stereocentres in the file: {atoms:6}")
+    ATOMS_RENAMED = "atoms renamed: {changes:4}"
+    INVERTED_IN_FILE = "inverted stereocentres in the file: {atoms:6}"
     INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
-    OXT_ADDED = Words("{residue}: missing OXT added")
+    OXT_ADDED = "{residue}: missing OXT added"
     ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")
-    BUILT_AS_D = Words("{residue}: built as a D-amino acid, as others of its chain are under such names")
+    BUILT_AS_D = "{residue}: built as a D-amino acid, as others of its chain are under such names"
     BRIDGES_DROPPED = Words("disulfide bonds left out, as requested: {pairs:6}", rank=Rank.LOSS)
-    BRIDGE = Words("disulfide bond between {first} and {second}")
-    BRIDGE_ASKED = Words("disulfide bond between {first} and {second}, as requested")
-    BRIDGE_FAR = Words(
-        "disulfide bond between {first} and {second}, as requested; their sulphurs are {length:.1f} angstrom "
-        "apart"
+    BRIDGE = "disulfide bond between {first} and {second}"
+    BRIDGE_ASKED = "disulfide bond between {first} and {second}, as requested"
+    BRIDGE_FAR = (
+        "disulfide bond between {first} and {second}, as requested; their sulphurs are {length:.1f} "
+        "angstrom apart"
     )
     BRIDGE_IGNORED = Words(
         "disulfide bond of the file between {first} and {second} ignored: it is {length:.1f} angstrom long; "
@@ -246,10 +235,8 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     # Hydrogens.
-    USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
-    NO_PARTNER = Words(
-        "{residue}: called {name} in the file, without a disulfide bond: read as {residue.name}"
-    )
+    USUAL_STATE = "{residue}: kept in its usual state: the force field has no terminal {state}"
+    NO_PARTNER = "{residue}: called {name} in the file, without a disulfide bond: read as {residue.name}"
     RING_TURNED = Words(
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds and contacts",
         "rings turned by 180 degrees",
@@ -258,31 +245,29 @@ class Kind(Enum):
         "{residue}: amide turned by 180 degrees, by its hydrogen bonds and contacts",
         "amides turned by 180 degrees",
     )
-    STATE_CHOSEN = Words("{residue} modelled as {state}")
-    IMIDAZOLATE = Words("{residue} modelled as imidazolate: it bridges two metals")
-    STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
+    STATE_CHOSEN = "{residue} modelled as {state}"
+    IMIDAZOLATE = "{residue} modelled as imidazolate: it bridges two metals"
+    STATE_BY_PKA = "{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA"
     STRANGE_HYDROGENS = Words(
         "{residue}: hydrogens left out, not of its state: {atoms:6}",
         "hydrogens left out that do not belong to the state",
         Rank.LOSS,
     )
-    HYDROGENS_RENAMED = Words("{count:n hydrogen} with an unknown name renamed after the parent atom")
+    HYDROGENS_RENAMED = "{count:n hydrogen} with an unknown name renamed after the parent atom"
     HYDROGENS_ADDED = Words(
         "{count:n hydrogen} added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
     )
     # By relax, mutate and repack.
     SIDE_CHAIN_BUILT = Words("{residue}: side chain built anew", "side chains built anew")
-    MUTATED = Words("{residue}: mutated to {name}")
+    MUTATED = "{residue}: mutated to {name}"
     SIDE_CHAIN_TURNED = Words("{residue}: side chain turned from {before} to {after}", "side chains turned")
     HYDROGEN_TURNED = Words("{residue}: polar hydrogen turned", "polar hydrogens turned")
-    NOT_PROVEN = Words(
-        "side chains turned into good rotamers, perhaps not the best: there are too many to try"
-    )
+    NOT_PROVEN = "side chains turned into good rotamers, perhaps not the best: there are too many to try"
     HAND_TURNED = Words(
         "{residue}: inverted stereocentre {atoms:and} corrected", "inverted stereocentres corrected"
     )
-    TURNED_TRANS = Words("{residue}: twisted peptide bond before it turned to trans")
-    TURNED_CIS = Words("{residue}: twisted peptide bond before it turned to cis")
+    TURNED_TRANS = "{residue}: twisted peptide bond before it turned to trans"
+    TURNED_CIS = "{residue}: twisted peptide bond before it turned to cis"
 
 
 @dataclass(frozen=True)
@@ -383,7 +368,7 @@ class Repair(Value):
 
     def sentence(self, render: Render = str) -> str:
         """Return the text as a sentence."""
-        return _fill(self.kind.value.one, self, render)
+        return _fill(self.kind.words.one, self, render)
 
 
 class _Form(Formatter):
@@ -424,7 +409,7 @@ _ACTION = frozenset({
     Kind.TORN, Kind.GAP, Kind.NOT_CAPPED, Kind.BOND_IGNORED, Kind.NEAR, Kind.STAYS_UNKNOWN,
     Kind.NO_PARAMETERS, Kind.CHARGE_UNSURE, Kind.INVERTED, Kind.OTHER_ANOMER, Kind.SUGAR_INVERTED,
     Kind.NUCLEOTIDES_STAY, Kind.INVERTED_IN_FILE, Kind.BRIDGE_FAR, Kind.BRIDGE_IGNORED, Kind.ASSEMBLY,
-    *(kind for kind in Kind if kind.value.rank is Rank.LOSS and kind is not Kind.ALTERNATES),
+    *(kind for kind in Kind if kind.words.rank is Rank.LOSS and kind is not Kind.ALTERNATES),
 })  # fmt: skip
 
 
@@ -457,7 +442,7 @@ def counts_of_changes(repairs: Iterable[Repair]) -> str:
 
 def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
     """Return the rank of a repair in the summary, and the text shared by the repairs of a line."""
-    one, many, rank = repair.kind.value
+    one, many, rank = repair.kind.words
     if rank is Rank.GAP:
         return rank, ""
     if repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN) and repair.facts["state"] in _HISTIDINES:
