@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.structure.superpose import motion_of
 
-_ROUNDS = 20
-"""Superpositions after one start. Each lowers the sum of squares, and mostly two are enough."""
+_ROUNDS = 20  # Superpositions after one start. Each lowers the sum of squares, and mostly two are enough.
 _STARTS = 400
 """Initial pairs of chains: all pairs of 20 equal chains. With more, the first chains of the reference."""
-_EQUAL = 1e-9
-"""Fraction of the sum of squares about the origin. Mappings with smaller differences are equal."""
+_EQUAL = 1e-9  # Fraction of the sum of squares about the origin. Mappings with smaller differences are equal.
 
 _ALIKE = 0.1
 """nm. Mappings of a symmetric complex differ less in RMSD, mappings of equal chains in other places more."""

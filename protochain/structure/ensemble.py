@@ -23,15 +23,11 @@ from protochain.structure.preparation.periodic import touching_image
 from protochain.structure.preparation.protonate import BONDED
 from protochain.structure.write import as_gemmi
 
-_LONGEST_BOND = 1.0
-"""nm. Longer bonds have atoms in two images of a box, or other atoms, even in bad models."""
+_LONGEST_BOND = 1.0  # nm. Longer bonds have atoms in two images of a box, or other atoms, even in bad models.
 _BROKEN = "it is of other atoms, or broken across a box that the file does not state"
-_NEAREST = 0.02
-"""nm. A fifth of the shortest bond. Shorter bonds have no direction."""
-_FARTHEST = 1e4
-"""nm. Largest coordinate, as in files."""
-_CONTACT = 0.6
-"""nm. Largest distance between atoms of molecules in contact."""
+_NEAREST = 0.02  # nm. A fifth of the shortest bond. Shorter bonds have no direction.
+_FARTHEST = 1e4  # nm. Largest coordinate, as in files.
+_CONTACT = 0.6  # nm. Largest distance between atoms of molecules in contact.
 _IN_FRAMES = ("N", "CA", "C", "O")
 
 

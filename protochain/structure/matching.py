@@ -27,8 +27,7 @@ _RELATED = 0.3
 """Least identity of related sequences, over the positions of an alignment with inner gaps. Sander, Schneider,
 Proteins 9:56 (1991), and Rost, Protein Eng. 12:85 (1999), for some 80 residues. One of some 2500 unrelated
 pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps did not count."""
-_ONE_FOLD = 0.5
-"""Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010)."""
+_ONE_FOLD = 0.5  # Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010).
 _EXCHANGEABLE = 0.95
 """Least identity relative to the most similar chain. In OpenStructure chains are equal from 0.95 on."""
 
@@ -175,8 +174,7 @@ def _tm_scores(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tupl
     return float(result.tm_norm_chain2), float(max(result.tm_norm_chain1, result.tm_norm_chain2))
 
 
-_FARTHEST = 1000.0
-"""Angstrom. Every assembly is shorter."""
+_FARTHEST = 1000.0  # Angstrom. Every assembly is shorter.
 
 
 def structure_to_measure(source: Any, keep: Sequence[str] | None = None) -> Structure:

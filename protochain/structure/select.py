@@ -202,8 +202,7 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 
 
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
-_CONTACT = 0.5
-"""nm. Largest distance of heavy atoms of residues in contact, as in CAPRI."""
+_CONTACT = 0.5  # nm. Largest distance of heavy atoms of residues in contact, as in CAPRI.
 _WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
     "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
     "ligand": _ligand, "interface": _interface,

@@ -47,12 +47,9 @@ from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
 
 _REMARK_WIDTH = 68
-_PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
-"""Angstrom: range of eight columns with three decimals."""
-_PDB_NAME = 3
-"""Letters of a residue name."""
-_PDB_SERIALS = 99_999
-"""Largest serial number of an atom in five columns. The end of each chain has one, too."""
+_PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999  # Angstrom: range of eight columns with three decimals.
+_PDB_NAME = 3  # Letters of a residue name.
+_PDB_SERIALS = 99_999  # Largest serial number of an atom in five columns. The end of each chain has one, too.
 _ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""

@@ -16,8 +16,7 @@ from protochain.structure.molecule.residues import BLANK, Residue
 
 _NOT_BONDED = 2.0
 """Angstrom. Copies of a residue are different residues if all atoms are further from their namesakes."""
-_SAME_PLACE = 0.5
-"""Angstrom. Namesakes closer than this are duplicates of one atom."""
+_SAME_PLACE = 0.5  # Angstrom. Namesakes closer than this are duplicates of one atom.
 
 _OVERLAP, _SHARE = 1.0, 0.5
 """Angstrom, fraction. Chains overlap if this fraction of C-alphas of one is this close to the other."""

@@ -17,8 +17,7 @@ from protochain.core.arrays import Floats
 from protochain.core.storage import write_atomically
 from protochain.structure.formats.files import split_name
 
-_LARGEST = 1_000_000_000
-"""Bytes. AlphaFold 3 writes some 100 MB of aligned errors for 3000 residues."""
+_LARGEST = 1_000_000_000  # Bytes. AlphaFold 3 writes some 100 MB of aligned errors for 3000 residues.
 _PATTERNS = (
     # AlphaFold 3, RoseTTAFold 3; OpenFold 3.
     (
@@ -172,5 +171,4 @@ _IPTM_KEYS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pai
 """Keys of the ipTM of chain pairs of AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold."""
 _PAE_KEYS = ("pae", "token_pair_pae", "predicted_aligned_error")
 """Keys of the predicted aligned errors: most programs, Protenix, AlphaFold 2."""
-_LARGEST_READ = 200_000_000
-"""Bytes, unpacked: some 4000 tokens."""
+_LARGEST_READ = 200_000_000  # Bytes, unpacked: some 4000 tokens.

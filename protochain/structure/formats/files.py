@@ -54,19 +54,13 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
 """Compression functions by the last suffix."""
 
 _COORDINATE_COLUMNS = 54
-_USED = slice(12, 66)
-"""Columns of an atom record from the atom name to the B factor."""
+_USED = slice(12, 66)  # Columns of an atom record from the atom name to the B factor.
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
-_LONGEST_NAME = 80
-"""Maximum length of names of chains, residues and atoms. Messages quote these names."""
-_HEAVIEST = 111
-"""Atomic number of the last element of OpenMM."""
-_UNKNOWN = "UNL"
-"""Residue name of the PDB for unknown ligands. mmCIF does not permit empty names."""
-_NAMELESS = "X"
-"""Name of atoms without a name, the symbol of an unknown element."""
-_FARTHEST = 1e5
-"""Angstrom. Larger coordinates raise an error."""
+_LONGEST_NAME = 80  # Maximum length of names of chains, residues and atoms. Messages quote these names.
+_HEAVIEST = 111  # Atomic number of the last element of OpenMM.
+_UNKNOWN = "UNL"  # Residue name of the PDB for unknown ligands. mmCIF does not permit empty names.
+_NAMELESS = "X"  # Name of atoms without a name, the symbol of an unknown element.
+_FARTHEST = 1e5  # Angstrom. Larger coordinates raise an error.
 
 
 def split_name(path: Path) -> tuple[str, str, str]:
@@ -203,8 +197,7 @@ def _refuse_many(data: bytes, source: str) -> None:
 _FEW_LINES, _SHORTEST, _LONGEST = 1_000_000, 8, 1_000_000
 """Number of lines above which the mean length is checked, smallest mean length, longest line, in bytes."""
 _BYTES = MAX_MEGABYTES << 20
-_HEAD = 400
-"""Number of first bytes that contain the keys of a BinaryCIF file, which is a MessagePack map."""
+_HEAD = 400  # Number of first bytes that contain the keys of a BinaryCIF file, which is a MessagePack map.
 _PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
     (b"\x1f\x8b", "gzip", gzip.open),
     (b"BZh", "bzip2", bz2.open),

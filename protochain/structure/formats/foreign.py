@@ -30,8 +30,7 @@ _TOPOLOGY = {suffix: topology for topology in (".parm7", ".prmtop") for suffix i
 SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
 """Suffixes of the files that :func:`by_mdanalysis` reads."""
 
-_LIGHTEST = 0.9
-"""amu. Lighter particles of a topology are lone pairs, Drude particles or virtual sites."""
+_LIGHTEST = 0.9  # amu. Lighter particles of a topology are lone pairs, Drude particles or virtual sites.
 
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
@@ -177,8 +176,7 @@ def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
     return _structure(model, getattr(group, "dimensions", None))
 
 
-_NO_SEGMENT = "SYSTEM"
-"""Segment name that MDAnalysis uses for files without segments."""
+_NO_SEGMENT = "SYSTEM"  # Segment name that MDAnalysis uses for files without segments.
 
 
 def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:

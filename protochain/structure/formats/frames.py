@@ -185,8 +185,7 @@ def _box(vectors: Any) -> Floats | None:
     return box if is_box and abs(np.linalg.det(box)) > _THINNEST**3 else None
 
 
-_THINNEST = 0.3
-"""nm. Lower limit of the width of a periodic box."""
+_THINNEST = 0.3  # nm. Lower limit of the width of a periodic box.
 
 
 def _from_universe(atoms: Any) -> Frames:
@@ -496,8 +495,7 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
 _N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
 """nm: N and C in the frame of a residue, CA at its origin (Jumper et al., Nature 596:583, 2021, supplement
 1.8.4). Residues differ by 0.0002."""
-_C_O = 0.123
-"""nm. Length of C=O."""
+_C_O = 0.123  # nm. Length of C=O.
 
 
 def backbones(x: Floats, rotation: Floats) -> Floats:

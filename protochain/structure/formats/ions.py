@@ -52,8 +52,7 @@ Munck, Science 277:653, 1997), CuA 3+, CuZ and the copper-sulphide site (Solomon
 photosystem II (Krewald et al., Chem. Sci. 6:1676, 2015). Ammines are from the dictionary."""
 _ANIONS = {"S": -2, "O": -2, "Cl": -1, "C": -4}
 _CHARGE = "+-0123456789"
-_GENERIC_NAMES = ("ION", "IONS")
-"""Residue names that GROMACS uses for every ion."""
+_GENERIC_NAMES = ("ION", "IONS")  # Residue names that GROMACS uses for every ion.
 
 
 def name_ions(structure: gemmi.Structure) -> None:

@@ -13,12 +13,10 @@ from protochain.structure.molecule.templates import standard_name
 
 _INDENTED = re.compile(r"\s+(?:ATOM  |HETATM)[\w* -]{5}", re.IGNORECASE)
 _RECORD = re.compile(r"\s+((?:ATOM  |HETATM|CONECT|MODEL |ENDMDL|TER\b|END\b).*)", re.IGNORECASE)
-_PLACE = slice(12, 27)
-"""Columns of the atom name, residue name, chain id and residue number."""
+_PLACE = slice(12, 27)  # Columns of the atom name, residue name, chain id and residue number.
 _SERIALS = tuple(slice(k, k + 5) for k in range(6, 31, 5))
 """Columns of serial numbers. CONECT records have several."""
-_LARGEST_SERIAL = 99_999
-"""Largest serial number of five digits."""
+_LARGEST_SERIAL = 99_999  # Largest serial number of five digits.
 
 
 def remove_indents(lines: list[str]) -> int:

@@ -24,8 +24,7 @@ Spring = tuple[tuple[Address, ...], float, float]
 """Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2). One atom alone marks a fixed molecule."""
 
 SPRINGS = "_protochain_tie."
-_SPRING_REMARK = "REMARK 980"
-"""Remark number that the PDB does not use."""
+_SPRING_REMARK = "REMARK 980"  # Remark number that the PDB does not use.
 _SPRING_ENDS = ("auth_asym_id_{}", "auth_seq_id_{}", "PDB_ins_code_{}", "auth_atom_id_{}")
 DIGITS = 9
 """Decimals of nm and rad in a remark. All springs are rounded to them, so that reading restores them."""
@@ -46,8 +45,7 @@ _COMPONENT = {
     tables.CATEGORY: "comp_id",
 }  # fmt: skip
 _NO_VALUE = (".", "?")
-_TERMS = 1
-"""Number of the PDB remark with terms of use, as in the AlphaFold database."""
+_TERMS = 1  # Number of the PDB remark with terms of use, as in the AlphaFold database.
 _REMARK_WIDTH, _NAME_WIDTH, _TEXT_WIDTH = 68, 55, 60
 _BEFORE_NAMES = ("HELIX", "SHEET", "SSBOND", "LINK", "CISPEP", "CRYST1", "ORIGX", "SCALE", "MTRIX", "MODEL")
 _KINDS = {

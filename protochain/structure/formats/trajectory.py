@@ -17,8 +17,7 @@ from protochain.core.storage import check_writable, writing
 from protochain.structure.formats.frames import XTC_HEAD, open_frames, xtc_end
 from protochain.structure.molecule.model import Structure
 
-_DCD_COUNT = 8
-"""Offset of the number of frames in a DCD file: four bytes, little-endian."""
+_DCD_COUNT = 8  # Offset of the number of frames in a DCD file: four bytes, little-endian.
 FORMATS = (".dcd", ".xtc")
 """Suffixes of trajectories that can be written."""
 

@@ -8,8 +8,7 @@ from protochain.ligands.molecule import Molecule, build_mol, from_rdkit, quietly
 from protochain.structure.molecule.residues import BACKBONE
 
 _H, _C, _N, _O, _S = 1, 6, 7, 8, 16
-_MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
-"""Elements of terminal, singly bonded heavy atoms that may leave."""
+_MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)  # Elements of terminal, singly bonded heavy atoms that may leave.
 
 
 class Graph:

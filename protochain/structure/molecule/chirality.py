@@ -17,8 +17,7 @@ from protochain.structure.molecule.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
 """nm^3. Below this volume the configuration of a C-alpha may be noise. Ideal residues have 2.5e-3."""
-_BONDED = 0.22
-"""nm. Largest distance of bonded neighbours. Atoms two bonds apart have 0.25."""
+_BONDED = 0.22  # nm. Largest distance of bonded neighbours. Atoms two bonds apart have 0.25.
 _ALPHA = {"CA": ("N", "C", "CB")}
 _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},

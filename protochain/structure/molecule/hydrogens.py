@@ -15,23 +15,17 @@ from scipy.spatial import KDTree
 from protochain.core.arrays import Floats, Integers, cross, dots, sphere
 from protochain.core.graph import neighbours
 
-_LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
-"""nm: bond lengths to hydrogen."""
+_LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}  # nm: bond lengths to hydrogen.
 _TETRAHEDRAL, _TRIGONAL = np.deg2rad(109.5), np.deg2rad(120.0)
 _BENT = {"O": float(np.deg2rad(108.5)), "S": float(np.deg2rad(96.0))}
 _WATER = float(np.deg2rad(104.52))
 _STAGGERED = np.deg2rad([180.0, 300.0, 60.0])
 _TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0))
-_REACH = 0.6
-"""nm. Cutoff of the energy that orients a hydroxyl."""
-_COULOMB = 138.935 / 40.0
-"""kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom."""
-_CORE = 0.2
-"""nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol."""
-_AT_METAL = 0.3
-"""nm. Largest distance of a metal-bound oxygen of water: 0.24 at calcium, 0.28 at potassium."""
-_DECIMALS = 6
-"""Decimals (nm) of positions, because sine and cosine differ in the last bit between libraries."""
+_REACH = 0.6  # nm. Cutoff of the energy that orients a hydroxyl.
+_COULOMB = 138.935 / 40.0  # kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom.
+_CORE = 0.2  # nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol.
+_AT_METAL = 0.3  # nm. Largest distance of a metal-bound oxygen of water: 0.24 at calcium, 0.28 at potassium.
+_DECIMALS = 6  # Decimals (nm) of positions, because sine and cosine differ in the last bit between libraries.
 
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:

@@ -12,17 +12,14 @@ _OXYGEN_DISTANCE = {
     "Cu": 1.99, "Zn": 1.99,
 }  # fmt: skip
 """Angstrom, usual distance of oxygen in proteins (Harding, Acta Cryst. D62:678, 2006), of Ni by radius."""
-_OTHER_METAL = 2.3
-"""Angstrom. Usual distance of oxygen for metals outside the table."""
+_OTHER_METAL = 2.3  # Angstrom. Usual distance of oxygen for metals outside the table.
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
 """Angstrom. Largest excess of a bonded donor over the usual distance of oxygen. Sulphur is larger."""
 _AXIAL = 1.2
 """Angstrom. Excess for methionine at blue copper, at 2.8 to 3.1 angstrom (Guss, Freeman, J. Mol. Biol.
 169:521, 1983)."""
-_TRIPLE = 1.35
-"""Angstrom. Largest distance of the only heavy neighbour of the carbon of cyanide or CO."""
-_TOO_NEAR = 0.6
-"""Angstrom. A donor closer to a metal than usual by more overlaps the metal."""
+_TRIPLE = 1.35  # Angstrom. Largest distance of the only heavy neighbour of the carbon of cyanide or CO.
+_TOO_NEAR = 0.6  # Angstrom. A donor closer to a metal than usual by more overlaps the metal.
 
 
 @dataclass(frozen=True, eq=False)

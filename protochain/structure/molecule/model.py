@@ -69,8 +69,7 @@ def _round(values: Floats) -> list[Any]:
     return numbers
 
 
-_DIGITS = 9
-"""Digits of compared parameters, because the last digits of sums of charges differ."""
+_DIGITS = 9  # Digits of compared parameters, because the last digits of sums of charges differ.
 
 
 @dataclass(frozen=True, eq=False)

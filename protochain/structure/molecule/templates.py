@@ -32,8 +32,7 @@ HAS_GLYCAM = "amber14"
 """Force field of proteins for these glycans."""
 HAS_SAGE = "amber19"
 """Another force field of proteins that Sage is combined with."""
-_BONDED = 2.2
-"""Angstrom. Largest bond length of an amino acid (C-S 1.8, S-S 2.0)."""
+_BONDED = 2.2  # Angstrom. Largest bond length of an amino acid (C-S 1.8, S-S 2.0).
 SMIRNOFF = "SMIRNOFF"
 """Root of OpenFF's .offxml files."""
 NO_XML = "not a force-field XML file"
@@ -193,10 +192,8 @@ def strand_junctions(*files: str) -> bytes:
     return ElementTree.tostring(root)
 
 
-_KINDS = ("DNA-", "RNA-")
-"""Prefixes of atom types in OpenMM's files."""
-_EXTRA_POINT = "EP"
-"""Class of virtual sites, without a prefix."""
+_KINDS = ("DNA-", "RNA-")  # Prefixes of atom types in OpenMM's files.
+_EXTRA_POINT = "EP"  # Class of virtual sites, without a prefix.
 
 
 def _read(files: Sequence[Path]) -> dict[str, Template]:
@@ -284,8 +281,7 @@ def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
     return {a: name for name, row in aliases.items() for a in row}, aliases
 
 
-_WATERS = ("SPCE", "TP3M", "TIP5", "OPC")
-"""Names of water in other programs, missing from OpenMM's table."""
+_WATERS = ("SPCE", "TP3M", "TIP5", "OPC")  # Names of water in other programs, missing from OpenMM's table.
 
 
 @cache

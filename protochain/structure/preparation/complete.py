@@ -19,8 +19,7 @@ _TERMINAL_OXYGENS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1"
 """Terminal oxygens: bonded atom, its other neighbours, and bond length (angstrom) in ff14SB and OL15."""
 _CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
 """Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
-_MIN_AREA = 0.1
-"""Angstrom^2: N, CA and C are collinear if the cross product of their bonds is smaller."""
+_MIN_AREA = 0.1  # Angstrom^2: N, CA and C are collinear if the cross product of their bonds is smaller.
 _DECIMALS = 4
 """Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
 _BONDS = {
@@ -35,8 +34,7 @@ _ANGLE_DISTANCES = {
 """Angstrom: distances across an angle, from the same source."""
 _TRANS_DISTANCES = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
 """Angstrom: across a trans peptide bond (cis: 2.9). For one missing atom the other distances suffice."""
-_MAX_DEVIATION = 0.25
-"""Angstrom: largest deviation of a bond of a rebuilt atom."""
+_MAX_DEVIATION = 0.25  # Angstrom: largest deviation of a bond of a rebuilt atom.
 _N_STARTS = 8
 
 

@@ -25,8 +25,7 @@ CARBONYL, POLAR, OTHER, METAL = 1.65, 1.05, 1.22, 1.0
 _DENSITY, _WIDTH, _BUMP, _BOND, _DEEPEST, _FARTHEST = 16.0, 0.25, 5.0, 2.0, 0.6, 0.5
 """Dots per square angstrom, width of a contact, weights, limits of a hydrogen bond and of a gap, angstrom."""
 _BONDED = 1.9
-_COVERED = 2.7
-"""Angstrom: atoms of the side chain nearer than this to one another cover dots."""
+_COVERED = 2.7  # Angstrom: atoms of the side chain nearer than this to one another cover dots.
 _HISTIDINE: Mapping[str, Sequence[str]] = {"N": ["H"], "CA": ["HA"], "CB": ["HB2", "HB3"]}
 
 

@@ -17,27 +17,21 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.templates import Template
 from protochain.structure.preparation.contacts import POLAR, RADII, Spheres, score, surroundings
 
-_HYDROGEN_BOND = 3.5
-"""Angstrom, donor to acceptor, as in OpenMM's Modeller."""
+_HYDROGEN_BOND = 3.5  # Angstrom, donor to acceptor, as in OpenMM's Modeller.
 _FULL, _FARTHEST = 3.2, 3.7
 """Angstrom: a hydrogen bond of an amide counts fully up to the first, and not at all from the second."""
 _REACH, _PAIR = 6.0, 8.5
 """Angstrom: search radii around a pivot, and between two. Ends are within 2.4 of it, bonds within 3.7."""
-_BONDED = 1.9
-"""Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
-_TINY = 1e-9
-"""Angstrom: least length of a direction."""
+_BONDED = 1.9  # Angstrom: heavy atoms nearer than this to a donor are bonded to it.
+_TINY = 1e-9  # Angstrom: least length of a direction.
 _STRAIGHT = np.cos(np.deg2rad(50.0))
-_DONOR_ANGLE = np.deg2rad(115.0)
-"""Rad: angle at a donor between its only neighbour and the acceptor."""
+_DONOR_ANGLE = np.deg2rad(115.0)  # Rad: angle at a donor between its only neighbour and the acceptor.
 _MIN_DONOR_COSINE, _MIN_ACCEPTOR_COSINE = 0.5, -0.2
 """Least cosines: of a donor's hydrogen with the acceptor, and of the acceptor's bond with the donor."""
-_METAL_WEIGHT = 2.0
-"""Weight of a metal near an oxygen or nitrogen of an amide, in hydrogen bonds."""
+_METAL_WEIGHT = 2.0  # Weight of a metal near an oxygen or nitrogen of an amide, in hydrogen bonds.
 _RING = {"ND1": ("CG", "CE1"), "NE2": ("CD2", "CE1"), "CD2": ("CG", "NE2"), "CE1": ("ND1", "NE2")}
 """Ring atoms that have a hydrogen or a lone pair, and their neighbours."""
-_CARBON = 3.0
-"""Angstrom: a ring carbon nearer than this to an oxygen or nitrogen is penalised."""
+_CARBON = 3.0  # Angstrom: a ring carbon nearer than this to an oxygen or nitrogen is penalised.
 _AXIS = {"HIS": ("CB", "CG"), "ASN": ("CB", "CG"), "GLN": ("CG", "CD")}
 _TURNING = {
     "HIS": ("ND1", "CD2", "CE1", "NE2", "HD2", "HE1"), "ASN": ("OD1", "ND2"), "GLN": ("OE1", "NE2"),
@@ -52,10 +46,8 @@ _CONTACT, _CONTACT_REACH = 1.5, 8.0
 _PRIOR_SHARE, _PRIOR_SITES, _SCALE = 0.1, 4.0, 1.25
 """Prior share of wrong orientations, its weight in sites, and hydrogen bonds per factor e in the odds. Word
 et al. find 20 % of amides wrong. A site is flipped for a gain of 2.7, or less if other sites are wrong."""
-_IGNORED_SITES = 1
-"""Number of the likeliest errors that the estimate of the share ignores."""
-_ROUNDS = 12
-"""Iterations of the estimate, by expectation and maximisation."""
+_IGNORED_SITES = 1  # Number of the likeliest errors that the estimate of the share ignores.
+_ROUNDS = 12  # Iterations of the estimate, by expectation and maximisation.
 
 
 @dataclass(frozen=True, eq=False)

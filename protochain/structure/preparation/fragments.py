@@ -38,8 +38,7 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Evi
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 
-_AMIDE = 1.7
-"""Angstrom. An amine closer than this to the carbon of a carboxyl is bonded to it (1.33)."""
+_AMIDE = 1.7  # Angstrom. An amine closer than this to the carbon of a carboxyl is bonded to it (1.33).
 _AMINES = {"LYS": "NZ", "ORN": "NE", "DAB": "ND"}
 _ACYLS = {
     "ASP": ("CG", "OD1", "OD2"), "GLU": ("CD", "OE1", "OE2"), "ASN": ("CG", "OD1", "ND2"),

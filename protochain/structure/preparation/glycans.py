@@ -34,12 +34,9 @@ from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, has_usual_angles
 from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
 
-_BEARING_ATOMS = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
-"""Protein atoms that bear sugars."""
-_REDUCING = "-ROH"
-"""Suffix of the code of a sugar at a free reducing end."""
-_REACH = 2.0
-"""Angstrom: search radius of bonds."""
+_BEARING_ATOMS = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}  # Protein atoms that bear sugars.
+_REDUCING = "-ROH"  # Suffix of the code of a sugar at a free reducing end.
+_REACH = 2.0  # Angstrom: search radius of bonds.
 _MAX_DEVIATION = 0.1
 """Angstrom: largest deviation of a bond's length if the hydroxyl that the bond replaces is present."""
 

@@ -41,8 +41,7 @@ JOIN_CUTOFF = 2.0
 _H_BOND, _MAX_RISE = 3.4, 1.5
 """Angstrom. Largest length of hydrogen bonds of base pairs, and largest height above the plane of a base.
 Stacked bases are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
-_OVERLAP = 0.5
-"""Angstrom. Atoms of two molecules closer than this coincide."""
+_OVERLAP = 0.5  # Angstrom. Atoms of two molecules closer than this coincide.
 _FARTHEST = max(_H_BOND, STATED)
 _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
 """Angstrom. O3' and P further apart than the first are not bonded (1.6). For consecutive numbers the second

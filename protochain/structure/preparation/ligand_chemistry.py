@@ -40,10 +40,8 @@ from protochain.structure.preparation.structure_draft import (
     Part,
 )
 
-_BONDED = 1.5
-"""Angstrom. Hydrogens further than this from all heavy atoms of their residue are ignored."""
-_DECIMALS = 5
-"""Decimals of coordinates in angstrom, because libraries differ in the last bits."""
+_BONDED = 1.5  # Angstrom. Hydrogens further than this from all heavy atoms of their residue are ignored.
+_DECIMALS = 5  # Decimals of coordinates in angstrom, because libraries differ in the last bits.
 
 
 def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:

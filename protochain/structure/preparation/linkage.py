@@ -61,8 +61,7 @@ _MAX_HYDROGENS = {"ND2": 1, "NZ": 2, "N": 1}
 """Largest number of hydrogens of a protein atom with such a bond. Other atoms have none."""
 _MAX_NEIGHBOURS = {"C": 4, "N": 4, "O": 2, "P": 5, "S": 4, "Se": 4, "B": 4, "Si": 4}
 """Largest number of neighbours of a hetero atom. A protein atom can have one such bond."""
-_REACH = 2.8
-"""Angstrom. Upper limit of bonds between nonmetals."""
+_REACH = 2.8  # Angstrom. Upper limit of bonds between nonmetals.
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,22 +22,17 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Omi
 
 MODELS = "models"
 """Name of the assembly of all models of a file."""
-_COPY_RMSD = 0.02
-"""Angstrom. Copies differ only by rounding in the file, models of an experiment by more."""
+_COPY_RMSD = 0.02  # Angstrom. Copies differ only by rounding in the file, models of an experiment by more.
 _OVERLAP, _ION_OVERLAP = 1.0, 2.0
 """Angstrom. Atoms closer than the first, or ions closer than the second, exclude each other."""
-_MAX_SHARED = 0.05
-"""Largest fraction of overlapping atoms in copies."""
-_CONTACT = 2.5
-"""Angstrom. Alternate locations closer than this belong to one state or exclude each other."""
-_NO_ALTLOC = "whole-"
-"""Prefix of the letter of a molecule with partial occupancy but without altloc."""
+_MAX_SHARED = 0.05  # Largest fraction of overlapping atoms in copies.
+_CONTACT = 2.5  # Angstrom. Alternate locations closer than this belong to one state or exclude each other.
+_NO_ALTLOC = "whole-"  # Prefix of the letter of a molecule with partial occupancy but without altloc.
 _ELEMENT_LETTERS = "CHNOSPD"
 """First letters of atom names in amino acids and nucleotides, without leading digits."""
 _PSEUDO = re.compile(r"PS\d*|CEN|NV\d*|ORIG")
 _PADDING = re.compile(r"V[0-8]")
-_SITE_NAME = re.compile(r"[MELVX]|DO|OM")
-"""First letters of the names of virtual sites of a water."""
+_SITE_NAME = re.compile(r"[MELVX]|DO|OM")  # First letters of the names of virtual sites of a water.
 
 
 def build_assembly(draft: Draft) -> Changes:

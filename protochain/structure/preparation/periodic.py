@@ -21,10 +21,8 @@ _MIN_CELL = 3.0
 _BONDED, _LINKED = 2.2, 3.0
 """Angstrom: longest bonds within residues, and between residues, also in models with distorted bonds."""
 _DISULFIDE = 2.5
-_CONTACT = 6.0
-"""Angstrom between heavy atoms of molecules that touch, as in frames."""
-_MAX_ATOMS = 2000
-"""Atoms of the largest residue that is examined."""
+_CONTACT = 6.0  # Angstrom between heavy atoms of molecules that touch, as in frames.
+_MAX_ATOMS = 2000  # Atoms of the largest residue that is examined.
 _LINKS = (("C", "N"), ("O3'", "P"))
 
 

@@ -401,5 +401,4 @@ def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats
     )
 
 
-_SHORTEST = 0.02
-"""nm. A fifth of the shortest bond."""
+_SHORTEST = 0.02  # nm. A fifth of the shortest bond.

@@ -24,15 +24,12 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Par
 
 BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is removed."""
-_HYDROXYL = 1.3
-"""Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
-_BRIDGED_NAME = "CYX"
-"""Amber's name of a cysteine in a disulfide."""
+_HYDROXYL = 1.3  # Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it.
+_BRIDGED_NAME = "CYX"  # Amber's name of a cysteine in a disulfide.
 _NO_PKA: Mapping[int, float] = {}
 """pKa of single residues. Without entries, the pKa of the kind of residue applies."""
 _UNPLACED = [float("nan")] * 3
-_PER_CHAIN = 9000
-"""Residues per chain of the PDB text, and the names of its chains."""
+_PER_CHAIN = 9000  # Residues per chain of the PDB text, and the names of its chains.
 _CHAINS = ascii_letters + digits
 _GROUPS = {"ASP", "GLU", "HIS", "CYS", "LYS"}
 

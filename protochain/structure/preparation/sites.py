@@ -25,8 +25,7 @@ from protochain.structure.preparation.hetero_molecules import JOIN_CUTOFF
 from protochain.structure.preparation.linkage import COVALENT_SLACK, STATED, classify_pairs
 from protochain.structure.preparation.structure_draft import Changes, Contacts, Draft, Evidence, Part
 
-_MAX_DEVIATION = 0.25
-"""Angstrom: a covalent bond that deviates by more is restrained to its usual length."""
+_MAX_DEVIATION = 0.25  # Angstrom: a covalent bond that deviates by more is restrained to its usual length.
 _MIN_ANGLE, _MAX_ANGLE = np.deg2rad(90.0), np.deg2rad(140.0)
 """Rad: angles of a covalent bond beyond these limits are restrained to the limits."""
 _STRAIGHT = np.deg2rad(170.0)

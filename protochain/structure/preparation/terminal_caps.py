@@ -18,8 +18,7 @@ from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 from protochain.structure.sidechains.ideal import Places, place_points, unit
 
-_BONDED = 1.3
-"""Angstrom: a hydrogen closer than this to N, or to OXT, is removed with the charged end."""
+_BONDED = 1.3  # Angstrom: a hydrogen closer than this to N, or to OXT, is removed with the charged end.
 _CONTACT, _CLASH, _OVERLAP = 2.9, 2.4, 1.9
 """Angstrom: a cap turns until no heavy atom is closer than the first. It turns away from the direction of the
 file if a heavy atom is closer than the second. It is not built if one is closer than the last."""

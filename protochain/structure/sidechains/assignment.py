@@ -24,10 +24,8 @@ from protochain.structure.sidechains.reduction import (
 
 _LARGEST = 1_000_000
 """Largest number of entries of a table in the elimination of sites. Larger components are branched."""
-_MOST_TABLES = 200_000
-"""Largest number of tables read in all branches, in some ten seconds."""
-_ENTRIES = 500
-"""Number of entries from which a table counts as several."""
+_MOST_TABLES = 200_000  # Largest number of tables read in all branches, in some ten seconds.
+_ENTRIES = 500  # Number of entries from which a table counts as several.
 _Solution = tuple[float, dict[int, int]]
 
 

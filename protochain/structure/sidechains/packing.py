@@ -23,20 +23,16 @@ from protochain.structure.sidechains.ideal import Places, Site, build_atoms, con
 from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
 from protochain.structure.sidechains.reduction import touching
 
-_EXCLUDED_BONDS = 3
-"""Bonds. Atoms at most so many bonds apart do not interact."""
+_EXCLUDED_BONDS = 3  # Bonds. Atoms at most so many bonds apart do not interact.
 _TURN, _FINER = np.deg2rad(9.0), np.deg2rad(8.0)
 """Rad. Turns about chi1 of a rotamer in the first step, and about chi1 and chi2 in the second."""
-_TURN_WIDTH = np.deg2rad(9.5)
-"""Rad. A turn of this size costs 0.5."""
+_TURN_WIDTH = np.deg2rad(9.5)  # Rad. A turn of this size costs 0.5.
 _NOT_TURNED = frozenset({"ARG", "GLN", "GLU", "LYS", "PRO", "SER"})
 """Residues without turns in the first step. They have many rotamers, or ring puckers."""
-_COST_CUTOFF = 20.0
-"""Largest cost above the best conformer, without the other side chains."""
+_COST_CUTOFF = 20.0  # Largest cost above the best conformer, without the other side chains.
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
 """Angstrom, angstrom, -: a disulfide bond, its deviation, and its gain."""
-_CB_DISTANCES = (3.2, 4.7)
-"""Angstrom: least and largest distance of the CB across a disulfide bond."""
+_CB_DISTANCES = (3.2, 4.7)  # Angstrom: least and largest distance of the CB across a disulfide bond.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,10 @@ from protochain.core.compilation import njit
 
 REACH = 7.0
 """Angstrom. Cutoff of pair energies."""
-_STEEPNESS = 10.0
-"""Repulsion at distance zero."""
+_STEEPNESS = 10.0  # Repulsion at distance zero.
 _ATTRACTION = 0.7
-_POLAR = 2.8
-"""Angstrom: contact of a donor and an acceptor of a hydrogen bond."""
-_ION = (0.6, 0.1)
-"""Radius, depth of elements outside organic chemistry: metals, which oxygens touch at 2.2."""
+_POLAR = 2.8  # Angstrom: contact of a donor and an acceptor of a hydrogen bond.
+_ION = (0.6, 0.1)  # Radius, depth of elements outside organic chemistry: metals, which oxygens touch at 2.2.
 
 _CARBON = {
     "CH": (2.30, 0.30), "CH2": (1.91, 0.37), "CH3": (1.96, 0.48), "ring": (1.73, 0.38),
@@ -33,8 +30,7 @@ _NITROGEN = {
 _OXYGEN = {
     "peptide": (1.48, 0.22), "amide": (1.44, 0.27), "carboxyl": (1.40, 0.07), "hydroxyl": (1.43, 0.12),
 }  # fmt: skip
-_SULPHUR = {"SG": (2.15, 0.44), "SD": (1.74, 0.40)}
-"""Radius, angstrom, and depth of each kind of atom."""
+_SULPHUR = {"SG": (2.15, 0.44), "SD": (1.74, 0.40)}  # Radius, angstrom, and depth of each kind of atom.
 _BRANCHED = {("VAL", "CB"), ("ILE", "CB"), ("THR", "CB"), ("LEU", "CG")}
 _METHYL = {
     ("ALA", "CB"), ("VAL", "CG1"), ("VAL", "CG2"), ("LEU", "CD1"), ("LEU", "CD2"), ("ILE", "CD1"),
@@ -53,8 +49,7 @@ _WEIGHTS = {
     "TRP": 3.5, "TYR": 1.5,
 }  # fmt: skip
 _FREQUENCY = 0.7
-_RAREST = 5.0
-"""Largest logarithm of the ratio of the highest frequency to another."""
+_RAREST = 5.0  # Largest logarithm of the ratio of the highest frequency to another.
 
 
 def rarity(residue: str, frequency: Floats) -> Floats:

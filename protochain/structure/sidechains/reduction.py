@@ -16,8 +16,7 @@ from protochain.core.graph import components, group_members
 
 ROUND_OFF = 1e-9
 """kJ/mol. Round-off of energies. A smaller spread counts as zero."""
-_ROUNDS = 30
-"""Largest number of rounds of message passing. They end when the bound hardly rises."""
+_ROUNDS = 30  # Largest number of rounds of message passing. They end when the bound hardly rises.
 _RISE = 1e-3
 
 Pairs = dict[tuple[int, int], Floats]

@@ -13,12 +13,9 @@ from protochain.core.arrays import Floats, read_only
 
 BACKBONE = (-60.0, 60.0)
 """Degrees: phi and psi at the ends of a chain, as in SCWRL4 (Krivov et al., Proteins 77:778, 2009)."""
-_STEP, _BINS = 10.0, 36
-"""Degrees between values of phi, and of psi, from -180 on, and the number of values."""
-_FINENESS = 40.0
-"""Steps of the logarithm of a frequency in a unit."""
-_TURN = 256
-"""Steps of a dihedral in a turn."""
+_STEP, _BINS = 10.0, 36  # Degrees between values of phi, and of psi, from -180 on, and the number of values.
+_FINENESS = 40.0  # Steps of the logarithm of a frequency in a unit.
+_TURN = 256  # Steps of a dihedral in a turn.
 
 
 def rotamers(residue: str, phi: float = BACKBONE[0], psi: float = BACKBONE[1]) -> tuple[Floats, Floats]:
