@@ -44,6 +44,16 @@ _REFUSED = {
     "restraint": "restraints in natural language",
 }  # fmt: skip
 """Variables that are not implemented and must have their defaults."""
+_COMMENT = re.compile(r"""('(?:[^'\n]|'')*'|"(?:[^"\n]|"")*")|[!#][^\n]*""")
+_BEGIN = r"[ \t]*[&$](?!end\b)(\w+)"
+_NEXT, _LINE = re.compile(_BEGIN, re.IGNORECASE), re.compile(f"^{_BEGIN}", re.IGNORECASE | re.MULTILINE)
+_BODY = re.compile(r"""(?i)((?:'(?:[^']|'')*'|"(?:[^"]|"")*"|[^'"/&$])*)(/|[&$]end\b)""")
+_TOKEN = re.compile(
+    r"""\s*(?:(?P<variable>\w+)\s*(?:\(\s*(?P<first>\d+)?\s*(?::\s*\d*\s*)?\))?\s*=|(?P<comma>,)
+    |(?:(?P<times>\d+)\*)?(?:(?P<text>'(?:[^']|'')*'|"(?:[^"]|"")*")|(?P<word>[^\s,'"=]+))?)\s*""",
+    re.VERBOSE,
+)
+_WELL = ("r1", "r2", "r3", "r4", "rk2", "rk3")
 
 
 def restraints_of_amber(text: str) -> Iterator[Restraint]:
@@ -69,17 +79,6 @@ def restraints_of_amber(text: str) -> Iterator[Restraint]:
                 end = line
         except ProtochainError as error:
             raise ProtochainError(f"line {line}: ", *error.parts) from None
-
-
-_COMMENT = re.compile(r"""('(?:[^'\n]|'')*'|"(?:[^"\n]|"")*")|[!#][^\n]*""")
-_BEGIN = r"[ \t]*[&$](?!end\b)(\w+)"
-_NEXT, _LINE = re.compile(_BEGIN, re.IGNORECASE), re.compile(f"^{_BEGIN}", re.IGNORECASE | re.MULTILINE)
-_BODY = re.compile(r"""(?i)((?:'(?:[^']|'')*'|"(?:[^"]|"")*"|[^'"/&$])*)(/|[&$]end\b)""")
-_TOKEN = re.compile(
-    r"""\s*(?:(?P<variable>\w+)\s*(?:\(\s*(?P<first>\d+)?\s*(?::\s*\d*\s*)?\))?\s*=|(?P<comma>,)
-    |(?:(?P<times>\d+)\*)?(?:(?P<text>'(?:[^']|'')*'|"(?:[^"]|"")*")|(?P<word>[^\s,'"=]+))?)\s*""",
-    re.VERBOSE,
-)
 
 
 def _namelists(text: str) -> Iterator[tuple[int, str, str]]:
@@ -137,9 +136,6 @@ def _value(name: str, word: str) -> Any:
         kind = "a whole number" if name in _INTEGERS else "a number"
         raise ProtochainError(f"&rst: {name}={word} is not {kind}; correct it") from None
     return int(word) if name in _INTEGERS else value
-
-
-_WELL = ("r1", "r2", "r3", "r4", "rk2", "rk3")
 
 
 def _expand_parabola(variables: dict[str, Any]) -> dict[str, Any]:

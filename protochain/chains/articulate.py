@@ -25,6 +25,9 @@ from protochain.structure.molecule.model import Structure
 from protochain.structure.select import move_argument
 from protochain.structure.select import moving_mask as moving_atoms
 
+_SINGLE = ("phi", "psi", "omega", "chi")  # Kinds whose single hinges can be opened or frozen by name.
+_STRAIGHT = 0.05  # Carbon dioxide with rounded coordinates is straight, water (0.5) is not.
+
 
 def _as_of(build: Callable[..., Chain], source: Any, arguments: dict[str, Any]) -> Chain:
     """Build the chain of a source. Arguments without a name are those from the chain of the source."""
@@ -159,10 +162,6 @@ def build_chain(
     )
 
 
-_SINGLE = ("phi", "psi", "omega", "chi")
-"""Kinds whose single hinges can be opened or frozen by name."""
-
-
 def _is_requested(hinge: Hinge, kinds: Sequence[str], single: set[str]) -> bool:
     """Whether a hinge is of a kind that is open, or opened by its name, and not frozen."""
     kind = hinge.kind.rstrip("12345")
@@ -179,10 +178,6 @@ def _is_straight(x: Floats) -> bool:
     """Whether positions (n, 3) are one point or nearly on a line, about which a body could turn freely."""
     across = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
     return len(x) < 3 or bool(across[1] <= _STRAIGHT * across[0])
-
-
-_STRAIGHT = 0.05
-"""Carbon dioxide with rounded coordinates is straight, water (0.5) is not."""
 
 
 def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:

@@ -19,10 +19,8 @@ from protochain.mechanics.multibody import Frames, Tree, algebra
 from protochain.mechanics.multibody.algebra import add, cross, kernel, subtract
 from protochain.structure.molecule.model import Structure
 
-_ON_HINGE = 1e-9
-"""nm. Atoms nearer to an axis than this are on it. Rounding of positions is 1e-15."""
-_WAYS = 1 << 20
-"""Pairs of an atom and a hinge in one batch, which bounds the memory."""
+_ON_HINGE = 1e-9  # nm. Atoms nearer to an axis than this are on it. Rounding of positions is 1e-15.
+_WAYS = 1 << 20  # Pairs of an atom and a hinge in one batch, which bounds the memory.
 
 
 @document_fields

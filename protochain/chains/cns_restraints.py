@@ -13,8 +13,7 @@ from protochain.core.units import KJ_PER_KCAL
 _LABELS = ("peak", "spectrum", "volume", "ppm1", "ppm2", "cv")
 """Words after a distance, each with a number, that do not change its energy."""
 _HEADERS = ("noe", "dihedrals", "restraints", "reset", "end")
-_NUMBERED = ("nrestraints", "nassign")
-"""Sizes of arrays."""
+_NUMBERED = ("nrestraints", "nassign")  # Sizes of arrays.
 
 
 class _Token(NamedTuple):

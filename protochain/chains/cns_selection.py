@@ -10,8 +10,7 @@ from protochain.core.arrays import Integers
 from protochain.core.errors import ProtochainError
 from protochain.structure.molecule.model import Structure, per_structure
 
-Selection = Callable[[Structure], NDArray[np.bool_]]
-"""Structure -> mask of the selected atoms (na,)."""
+Selection = Callable[[Structure], NDArray[np.bool_]]  # Structure -> mask of the selected atoms (na,).
 
 _WILDCARDS = {"*": ".*", "%": ".", "#": r"\d*", "+": r"\d"}
 """Any string, a character, a number, a digit."""

@@ -18,8 +18,9 @@ from protochain.structure.preparation.linkage import COVALENT_SLACK
 OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
-_NEAR = 0.8
-"""Fraction that includes all pairs of atoms as close as bonded atoms."""
+_NEAR = 0.8  # Fraction that includes all pairs of atoms as close as bonded atoms.
+ALPHA_REACH, SEPARATION = 0.8, 3
+"""nm between C-alphas in contact, and least number of residues from one to the other in a chain."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +40,6 @@ class Overlap:
             f"{self.first} and {self.second} are {self.distance_angstrom:.2f} angstrom apart, "
             f"{100 * self.share:.0f} % of contact"
         )
-
-
-ALPHA_REACH, SEPARATION = 0.8, 3
-"""nm between C-alphas in contact, and least number of residues from one to the other in a chain."""
 
 
 def alpha_contacts(structure: Structure, x: Floats) -> Integers:

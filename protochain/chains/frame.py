@@ -15,8 +15,7 @@ _TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
 _SHIFTS = np.array([[0.3, 0.2, -0.4], [6.0, 4.0, -8.0]])
 """A rotation and two shifts (nm) that change energies of external fields, such as maps and distant walls."""
 
-_UNCHANGED = 1e-6
-"""Relative change of an energy by the rounding of moved coordinates."""
+_UNCHANGED = 1e-6  # Relative change of an energy by the rounding of moved coordinates.
 
 
 @dataclass(frozen=True, eq=False)

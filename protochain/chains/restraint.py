@@ -11,8 +11,7 @@ from protochain.core.checks import at_least, check_fields, integer, number, one_
 from protochain.core.errors import ProtochainError, refusal
 from protochain.core.settings import document_fields
 
-STIFFNESS = 1000.0
-"""kJ/mol/nm^2, or of dihedrals kJ/mol/rad^2."""
+STIFFNESS = 1000.0  # kJ/mol/nm^2, or of dihedrals kJ/mol/rad^2.
 EXAMPLE = "distance A:3:CA A:9:CA 0 6 1000"
 PLACES = {
     "distance": range(2, 10_000, 2), "mean-distance": (2,), "centroid-distance": (2,), "dihedral": (1, 4),

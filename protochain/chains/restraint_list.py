@@ -26,9 +26,8 @@ from protochain.structure.select import atoms_at
 VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 """A restraint is violated if its coordinate is farther outside the bounds."""
 
-
-Groups = Sequence[list[Integers]]
-"""Atoms of the places of each restraint."""
+Groups = Sequence[list[Integers]]  # Atoms of the places of each restraint.
+_IN_FILE = re.compile(r"(:\d+)?@[^\s@]+(,(:\d+)?@[^\s@]+)*")
 
 
 class Coordinates(Protocol):
@@ -408,9 +407,6 @@ def _atoms_of_places(structure: Structure, restraint: Restraint) -> list[Integer
     ):
         raise StructureError(f"{subject}: an atom is on both sides")
     return groups
-
-
-_IN_FILE = re.compile(r"(:\d+)?@[^\s@]+(,(:\d+)?@[^\s@]+)*")
 
 
 def _atoms(structure: Structure, place: str) -> Integers:

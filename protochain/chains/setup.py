@@ -22,6 +22,7 @@ OF_ENERGY = (
     "terms", "calculator",
 )  # fmt: skip
 """Settings that are arguments of :func:`protochain.energy`."""
+_MOST_MODELS = 100_000  # Most models in one range. Larger ranges are errors.
 
 
 class Prepared(NamedTuple):
@@ -324,7 +325,3 @@ def _model(value: int | str | None, name: str) -> int | str | None:
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
         raise refusal(name, f"{value!r}", "give its number, or all, or a range such as 1-5")
     return int(compact) if compact.isdigit() else compact
-
-
-_MOST_MODELS = 100_000
-"""Most models in one range. Larger ranges are errors."""

@@ -10,10 +10,8 @@ from protochain.chains.restraint import STIFFNESS, Restraint
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import excerpt
 
-Row = Mapping[str, str]
-"""Values of a row of a table, by items in lower case. Missing values are absent."""
-Numbers = tuple[float | None, ...]
-"""Values of ``_NUMBERS``."""
+Row = Mapping[str, str]  # Values of a row of a table, by items in lower case. Missing values are absent.
+Numbers = tuple[float | None, ...]  # Values of ``_NUMBERS``.
 _TABLES = {
     "_nef_distance_restraint.": 2, "_gen_dist_constraint.": 2, "_nef_dihedral_restraint.": 4,
     "_torsion_angle_constraint.": 4,

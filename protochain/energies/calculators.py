@@ -18,6 +18,8 @@ from protochain.energies.elements import exclude_pairs
 from protochain.energies.protocol import Energy
 from protochain.structure.molecule.model import Structure
 
+_KINDS = {"Bond": 2, "Angle": 3, "Torsion": 4}  # Numbers of atoms of terms.
+
 
 class Calculator(NamedTuple):
     """An ASE calculator of molecules with a total charge."""
@@ -153,10 +155,6 @@ def region_of(structure: Structure, name: str) -> Integers:
             f"give {hint}"
         )
     return region
-
-
-_KINDS = {"Bond": 2, "Angle": 3, "Torsion": 4}
-"""Numbers of atoms of terms."""
 
 
 def without_inside(system: openmm.System, atoms: Integers) -> openmm.System:

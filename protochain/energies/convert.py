@@ -18,6 +18,9 @@ from protochain.structure.molecule.model import Structure
 if TYPE_CHECKING:
     from ase import Atoms
 
+_SAME_PLACE = 1e-6  # nm. Positions are converted to angstrom and back.
+_SIMULATION = instance(app.Simulation, "openmm.app.Simulation(topology, system, integrator)")
+
 
 def to_ase(structure: Any, energy: Any = None) -> "Atoms":
     """Convert a structure and its energy to ASE Atoms with a calculator.
@@ -104,11 +107,6 @@ def energy_from(calculator: Any, structure: Any) -> Energy:
 
     by_calculator.__qualname__ = type(calc).__qualname__
     return as_energy(by_calculator, model)
-
-
-_SAME_PLACE = 1e-6
-"""nm. Positions are converted to angstrom and back."""
-_SIMULATION = instance(app.Simulation, "openmm.app.Simulation(topology, system, integrator)")
 
 
 @check_arguments(simulation=_SIMULATION)

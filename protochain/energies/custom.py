@@ -14,6 +14,14 @@ from protochain.core.errors import Fault, ProtochainError
 
 EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]
 """Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""
+_DISPLACEMENT = 0.005  # nm. Deviation of each coordinate, too small to make atoms overlap.
+_STEPS = (1e-5, 1e-4, 1e-3)
+"""nm. The first is for double precision: terms are nonlinear over some 0.01 nm. The last is for single
+precision: 1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm. The check passes if one step does."""
+_TOLERANCE = 0.02
+"""Relative to the slope. Truncation is less than a hundredth at all steps unless atoms overlap. Forces with a
+wrong factor, sign or part differ by more."""
+_ROUNDING = 64 * float(np.finfo(float).eps)  # Rounding error relative to an energy, for some dozen sums.
 
 
 class CustomEnergy:
@@ -113,18 +121,6 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
         f"{name}: its forces are not those of its energy, whose slope along a line is {slope:.4g} kJ/mol/nm "
         f"where they say {force_slope:.4g}; return forces -dE/dx, in kJ/mol/nm"
     )
-
-
-_DISPLACEMENT = 0.005
-"""nm. Deviation of each coordinate, too small to make atoms overlap."""
-_STEPS = (1e-5, 1e-4, 1e-3)
-"""nm. The first is for double precision: terms are nonlinear over some 0.01 nm. The last is for single
-precision: 1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm. The check passes if one step does."""
-_TOLERANCE = 0.02
-"""Relative to the slope. Truncation is less than a hundredth at all steps unless atoms overlap. Forces with a
-wrong factor, sign or part differ by more."""
-_ROUNDING = 64 * float(np.finfo(float).eps)
-"""Rounding error relative to an energy, for some dozen sums."""
 
 
 def name_of(value: Any) -> str:

@@ -53,8 +53,9 @@ BY = ("term", "residue", "pair")
 _NONBONDED = slice(5, 8)
 _CHUNKS = 16
 """Parts of the sums over pairs. Their order, and so the last bits, are the same for any number of threads."""
-_AWAY = 1e4
-"""nm between molecules that do not interact: Born radii change by less than the last bit."""
+_AWAY = 1e4  # nm between molecules that do not interact: Born radii change by less than the last bit.
+_SharedEnergies = tuple[Integers, Floats]
+"""(n, 2) int, (n,) float: the two atoms that share each energy, or one atom twice."""
 
 
 @document_fields
@@ -351,10 +352,6 @@ def _pairs_of_residues(
 
     with ThreadPoolExecutor(threads) as pool:
         yield from pool.map(part, range(_CHUNKS))
-
-
-_SharedEnergies = tuple[Integers, Floats]
-"""(n, 2) int, (n,) float: the two atoms that share each energy, or one atom twice."""
 
 
 def _exception_energies(terms: Terms, x: Floats) -> dict[str, _SharedEnergies]:

@@ -41,6 +41,8 @@ _DONATED, _RETAINED = 0.37, 0.26
 """Charge that a donor receives from a metal of charge 2 (e), and smallest share that the metal retains, from
 Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010).
 A donor receives the same charge from a smaller metal charge, and in proportion from a larger one."""
+_ALONG = ("P", "O3'"), ("O3'", "P")  # Atoms that join nucleotides: of a nucleotide, and of its neighbour.
+_IMIDAZOLE = ("CG", "ND1", "CD2", "CE1", "NE2")  # Atoms over which the charge of imidazolate is spread.
 
 
 @cache
@@ -236,10 +238,6 @@ def _charges(structure: Structure, residue: Any) -> dict[int, float]:
         bearers = metals if total >= 0.0 else anions
         charges |= dict.fromkeys((*metals, *anions), 0.0) | dict.fromkeys(bearers, total / len(bearers))
     return charges
-
-
-_ALONG = ("P", "O3'"), ("O3'", "P")
-"""Atoms that join nucleotides: of a nucleotide, and of its neighbour."""
 
 
 def _nucleic_charges(force_field: app.ForceField, structure: Structure, residue: Any) -> dict[int, float]:
@@ -520,10 +518,6 @@ def _linked_template(force_field: app.ForceField, residue: Any, linked: Iterable
     variant.name = f"{base.name}-linked-{residue.index}"
     force_field.registerResidueTemplate(variant)
     return str(variant.name)
-
-
-_IMIDAZOLE = ("CG", "ND1", "CD2", "CE1", "NE2")
-"""Atoms over which the charge of imidazolate is spread."""
 
 
 def _hydrogens(template: Any) -> dict[str, int]:

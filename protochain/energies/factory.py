@@ -73,7 +73,6 @@ FORCE_FIELDS = {
 """Short names of force fields bundled with OpenMM. Any other name is a file."""
 
 SOLVENTS = ("vacuum", "hct", "obc1", "obc2", "gbn", "gbn2")
-
 _DIELECTRIC, _TEMPERATURE = 78.5, 298.15
 """Dielectric constant of water and temperature (K), as OpenMM assumes for the screening by salt."""
 
@@ -90,15 +89,16 @@ parameters get them by element."""
 ENGINES = ("auto", "native", "openmm")
 DEVICES = ("auto", "cpu", *PLATFORMS)
 
-NONBONDED = " (nonbonded)"
-"""Suffix of the name of a force field without its dihedrals."""
+NONBONDED = " (nonbonded)"  # Suffix of the name of a force field without its dihedrals.
 TERMS = ("all", "nonbonded")
 """Terms of a force field in use. ``nonbonded``: pairs of atoms, and bonds and angles to close rings. It omits
 dihedrals, impropers and CMAP, for rigid peptide planes that only attract and repel each other."""
 
-
 _FUNCTION = {"forcefield", "solvent", "salt", "terms", "cutoff", "system", "calculator"}
 """Arguments that define the energy function. The others define how it is computed."""
+_MEASURED_UP_TO = 100_000
+"""Largest number of atoms for which one sum over all pairs (half a minute) measures the error of a cutoff."""
+_TABULATED = "LennardJones"  # Name of OpenMM's force with a table of pairs.
 
 
 def has_energy(source: Any) -> bool:
@@ -313,10 +313,6 @@ def _rule_of(engine: str, solvent: str, n_atoms: int) -> _Rule:
     return _EXACT
 
 
-_MEASURED_UP_TO = 100_000
-"""Largest number of atoms for which one sum over all pairs (half a minute) measures the error of a cutoff."""
-
-
 def build_system(
     structure: Structure,
     forcefield: str = defaults.FORCEFIELD,
@@ -472,10 +468,6 @@ def _number_types(system: openmm.System) -> None:
             table = force.getTabulatedFunction(k)
             n, _, values = table.getFunctionParameters()
             table.setFunctionParameters(n, n, np.reshape(values, (n, n))[np.ix_(order, order)].ravel())
-
-
-_TABULATED = "LennardJones"
-"""Name of OpenMM's force with a table of pairs."""
 
 
 def choose_engine(engine: str, by_openmm: OpenMMEnergy, terms: Terms | None = None) -> Energy:

@@ -21,9 +21,7 @@ from protochain.energies.native.terms import Terms
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
-PLATFORMS = {"cuda": "CUDA", "hip": "HIP", "opencl": "OpenCL"}
-"""Devices and their OpenMM platforms."""
-
+PLATFORMS = {"cuda": "CUDA", "hip": "HIP", "opencl": "OpenCL"}  # Devices and their OpenMM platforms.
 _OFTEN_A_PROCESSOR = "opencl"
 """Device that ``auto`` does not choose, because pocl runs OpenCL on the processor, slower than our kernels.
 OpenMM's minimiser does not run there, because pocl 3.1 cannot compile it and ends the process."""

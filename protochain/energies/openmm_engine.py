@@ -15,8 +15,7 @@ from protochain.core.arrays import Floats, Integers, floats
 from protochain.core.errors import ForceFieldError
 from protochain.core.processors import processors
 
-_LIGHT = 1.5
-"""amu. Atoms lighter than this are hydrogens."""
+_LIGHT = 1.5  # amu. Atoms lighter than this are hydrogens.
 
 
 class OpenMMEnergy:

@@ -25,8 +25,7 @@ from protochain.core.errors import Argument, ForceFieldError
 
 ACTIVE = ("Script", "InitializationScript", "Include")
 EVALUATED = ("useDispersionCorrection",)
-_NEVER_READ = ("Info", "Source", "Reference")
-"""Elements that describe the origin of a file."""
+_NEVER_READ = ("Info", "Source", "Reference")  # Elements that describe the origin of a file.
 _NOTES = ("def", "desc", "doi", "overrides", "source", "comment")
 """Attributes of other programs (Foyer), which OpenMM does not read."""
 _LEPTON = ("energy", "expression")
@@ -37,6 +36,11 @@ _FREE = ("name", *_LEPTON, *_NOTES)
 _BOOLEAN = re.compile(r"\s*(True|False|[01])\s*")
 _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
 """Numbers and names. Python cannot call anything without brackets."""
+_LONGEST, _DEEPEST, _LARGEST = 4000, 50, 400
+"""Limits of an expression: letters, nested brackets, parts with its definitions inserted. Lepton recurses.
+Derivatives need time and memory in the third power of the parts: seconds and 300 MB at these limits."""
+_WEIGHTS = {"(": 0, ")": 0, ",": 0, "*": 2, "/": 2, "^": 4}
+_TOKEN = re.compile(r"[A-Za-z_]\w*|[\d.]+(?:[eE][+-]?\d+)?|\S")
 
 
 def check_passive(path: Path, root: ElementTree.Element) -> None:
@@ -57,13 +61,6 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
                 raise ForceFieldError(
                     f"{place}, which is neither a number nor a plain name: mend it; ", *trust
                 )
-
-
-_LONGEST, _DEEPEST, _LARGEST = 4000, 50, 400
-"""Limits of an expression: letters, nested brackets, parts with its definitions inserted. Lepton recurses.
-Derivatives need time and memory in the third power of the parts: seconds and 300 MB at these limits."""
-_WEIGHTS = {"(": 0, ")": 0, ",": 0, "*": 2, "/": 2, "^": 4}
-_TOKEN = re.compile(r"[A-Za-z_]\w*|[\d.]+(?:[eE][+-]?\d+)?|\S")
 
 
 def check_expressions(path: Path, root: ElementTree.Element) -> None:

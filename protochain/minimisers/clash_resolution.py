@@ -41,9 +41,7 @@ instead, and if they could not. At 1e4, torsions still fling a chain with strain
 BACKBONE_TETHER = 2000.0
 """kJ/mol/nm^2 on each heavy backbone atom while overlaps are separated, so that side chains yield."""
 
-LARGEST_MOVE = 0.6
-"""nm, largest move of an atom during separation: the reach of a long side chain."""
-
+LARGEST_MOVE = 0.6  # nm, largest move of an atom during separation: the reach of a long side chain.
 SPRING = 4184.0
 """kJ/mol/nm^2 on heavy atoms in the first stage with the force field. It is 10 kcal/mol/angstrom^2, as in
 AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
@@ -51,17 +49,13 @@ AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."
 SPRINGS_ON_BACKBONE = (1000.0, 100.0)
 """kJ/mol/nm^2, in this order, on heavy backbone atoms only: side chains relax before the backbone."""
 
-SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
-"""kJ/mol/nm^2, in this order, because torsions have long levers."""
-
+SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)  # kJ/mol/nm^2, in this order, because torsions have long levers.
 _OVERLAP_FORCE = 20.0
 _HEAVY_FORCE = 10.0
 _SIDE_CHAIN_FORCE = 2.0
 """kJ/mol/nm, RMS forces at which stages end: soft repulsion, springs on heavy atoms, springs on backbone."""
-_TORSION_TORQUE = 300.0
-"""kJ/mol/rad, largest torque at which stages with springs in torsions end."""
-_PATIENCE = 60
-"""Evaluations without a lower energy, after which separation ends."""
+_TORSION_TORQUE = 300.0  # kJ/mol/rad, largest torque at which stages with springs in torsions end.
+_PATIENCE = 60  # Evaluations without a lower energy, after which separation ends.
 
 
 @dataclass(frozen=True, eq=False)

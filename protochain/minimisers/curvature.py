@@ -26,18 +26,15 @@ from protochain.minimisers.cholesky import elimination_order, factorise
 from protochain.minimisers.spring_model import CARTESIAN_FLOOR, Gradients, Near, Springs, contacts
 from protochain.structure.molecule.model import Structure
 
-REACH = 0.4
-"""nm, longest Lennard-Jones pair. Pairs up to 0.5 nm, and Coulomb forces, save no evaluations."""
-
+REACH = 0.4  # nm, longest Lennard-Jones pair. Pairs up to 0.5 nm, and Coulomb forces, save no evaluations.
 COUPLED = 1000.0
 """kJ/mol/nm^2, smallest stiffness of a Lennard-Jones pair that couples its atoms. Softer pairs, nine of ten,
 contribute to diagonal blocks only. All pairs would make the factor four times larger, with no gain."""
 
-FLOOR = 500.0
-"""kJ/mol/nm^2, added for every atom. Values between 200 and 2000 perform alike."""
-
-TORSION_FLOOR = 50.0
-"""kJ/mol/rad^2, added for every freedom, for long-range forces."""
+FLOOR = 500.0  # kJ/mol/nm^2, added for every atom. Values between 200 and 2000 perform alike.
+TORSION_FLOOR = 50.0  # kJ/mol/rad^2, added for every freedom, for long-range forces.
+Stretches = tuple[Integers, Floats, Floats]
+"""Pairs (n, 2), and their curvatures (n,) along and across, kJ/mol/nm^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,10 +159,6 @@ class Curvature:
     atom_blocks: Floats  # (na, 9): Diagonal blocks, row by row.
     pairs: Integers  # (n, 2) int: Coupled atoms, lower index first.
     pair_blocks: Floats  # (n, 9): Their blocks.
-
-
-Stretches = tuple[Integers, Floats, Floats]
-"""Pairs (n, 2), and their curvatures (n,) along and across, kJ/mol/nm^2."""
 
 
 def free_wells(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Stretches:

@@ -21,8 +21,7 @@ class Direction(Protocol):
     The memory consists of numbers, arrays, and tuples of them. It is empty at the start.
     """
 
-    metric: Metric = Euclidean()
-    """Metric of the preconditioner."""
+    metric: Metric = Euclidean()  # Metric of the preconditioner.
 
     def propose(
         self, problem: Problem, at: Evaluation, solve: Solve, memory: Any

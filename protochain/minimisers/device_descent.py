@@ -7,9 +7,7 @@ from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
 from protochain.minimisers.restraints import Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 
-AT_A_TIME = 100
-"""Iterations of a call. Each call restarts its L-BFGS, also after a failed line search."""
-
+AT_A_TIME = 100  # Iterations of a call. Each call restarts its L-BFGS, also after a failed line search.
 _RESOLVED = 1e-6
 """Share of the energy. A step that gains less is the last, as single precision resolves no more."""
 

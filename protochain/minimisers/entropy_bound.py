@@ -28,7 +28,6 @@ from protochain.minimisers.spaces import Torsions
 
 MetricName = Literal["turns", "mass", "positions", "contacts"]
 METRIC_NAMES: tuple[str, ...] = get_args(MetricName)
-
 MOST_ITERATIONS = 5
 """Newton's iterations for the multiplier. Spectra over eight decades need five from a cold start."""
 _ROUND_OFF = 1e-14

@@ -11,8 +11,7 @@ from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Euclidean, Metric, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 
-_TURN = 1e-5
-"""rad, of the largest freedom: step of the differences of torques."""
+_TURN = 1e-5  # rad, of the largest freedom: step of the differences of torques.
 
 
 def by_largest(direction: Floats) -> Floats:

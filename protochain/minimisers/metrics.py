@@ -12,7 +12,6 @@ from protochain.core.timings import part
 from protochain.minimisers.problem import Evaluation, Space
 
 Solve = Callable[[Floats], Floats]
-
 NEAR_REFRESH = 5
 """Iterations between two models of the Hessian from the force field's near terms, each costs about an energy.
 With a model at every step, runs in all atoms need as many evaluations. With one in 20 steps, a third more."""

@@ -22,6 +22,7 @@ Record = Callable[[Floats, float, int, Floats], None]
 
 _SETTLED = 100.0
 """kJ/mol/nm. RMS force below which OpenMM's dynamics start, as remaining strain would become heat."""
+_MD_STEPS, _MD_FRAME = 1000, 20
 
 
 @part("loop")
@@ -167,9 +168,6 @@ def langevin_dynamics(
         except KeyboardInterrupt:
             return Stop.INTERRUPTED, x, steps_done, steps_done
     return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, steps_done, steps_done
-
-
-_MD_STEPS, _MD_FRAME = 1000, 20
 
 
 def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:

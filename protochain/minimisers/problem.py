@@ -62,16 +62,11 @@ class Evaluation:
 class Space(Protocol):
     """Freedoms that a minimiser moves in."""
 
-    longest: float
-    """Largest change of one freedom in a step that uses curvature."""
-    first: float
-    """Largest change of one freedom in a step without curvature."""
-    unit: str
-    """Name and unit of the residual, as a format string."""
-    eigenvalue_unit: str
-    """Unit of the Hessian's eigenvalues."""
-    lever: float
-    """Change of a freedom that counts like a turn of one radian."""
+    longest: float  # Largest change of one freedom in a step that uses curvature.
+    first: float  # Largest change of one freedom in a step without curvature.
+    unit: str  # Name and unit of the residual, as a format string.
+    eigenvalue_unit: str  # Unit of the Hessian's eigenvalues.
+    lever: float  # Change of a freedom that counts like a turn of one radian.
 
     def start(self, x: Floats) -> Floats:
         """Coordinates (n_q,) of positions (na, 3)."""

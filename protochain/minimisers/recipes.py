@@ -210,10 +210,8 @@ _ALL_ATOMS = Run(
 """Springs are renewed less often: bonds and angles, most of them, change little, and the matrix is costly."""
 
 _NEAR = replace(_ALL_ATOMS, method=replace(_LBFGS, direction=LBFGS(Damped(NEAR_REFRESH), NEAR_MEMORY)))
-
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move. The remaining strain is in bonds and angles."""
-
 
 _TYPICAL = {
     "lbfgs": 50, "newton": 400, "cartesian": 70, "hybrid": 80, "openmm": 1500, "openmm-md": 3000,

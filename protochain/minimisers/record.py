@@ -67,6 +67,8 @@ COLUMNS = (
     Column("threads", lambda s: s.energy_function.threads, kind=int | None),
 )
 """Columns of a record, in reading order."""
+SHORT_COLUMNS = tuple(column for column in COLUMNS if column.heading and column not in LIGANDS)
+"""Columns of short tables."""
 
 
 def _n_moving(solution: Any) -> int:
@@ -80,10 +82,6 @@ def _n_moving(solution: Any) -> int:
     if not recipe.keeps_geometry:
         moved |= chain.moving
     return int(moved.sum())
-
-
-SHORT_COLUMNS = tuple(column for column in COLUMNS if column.heading and column not in LIGANDS)
-"""Columns of short tables."""
 
 
 def short_columns(

@@ -21,18 +21,16 @@ from protochain.structure.molecule.chirality import volume
 from protochain.structure.superpose import superpose
 from protochain.validation.stereocentres import expected_stereocentres
 
-SOFT_SHARE = 0.7
-"""Range of soft repulsion, as a share of the contact distance. Hydrogen bonds are longer."""
-
-SOFT_STIFFNESS = 1e4
-"""kJ/mol/nm^2. An overlap of an angstrom costs 50 kJ/mol."""
-
-SOFT_TETHER = 10.0
-"""kJ/mol/nm^2 on each atom, so that separating overlaps moves little else."""
-
+SOFT_SHARE = 0.7  # Range of soft repulsion, as a share of the contact distance. Hydrogen bonds are longer.
+SOFT_STIFFNESS = 1e4  # kJ/mol/nm^2. An overlap of an angstrom costs 50 kJ/mol.
+SOFT_TETHER = 10.0  # kJ/mol/nm^2 on each atom, so that separating overlaps moves little else.
 _LEASH_START = 0.9
-_LEASH_ENERGY = 10.0
-"""kJ/mol per residue at the end of a leash."""
+_LEASH_ENERGY = 10.0  # kJ/mol per residue at the end of a leash.
+_CHIRAL_STIFFNESS = 1e8
+"""kJ/mol/nm^6. Inverting an atom costs about 1000 kJ/mol, more than overlaps and springs provide."""
+_HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
+"""nm^3, volumes below which an atom is pushed: of three heavy neighbours, and with a hydrogen. Ideal residues
+have 2.5e-3 and 1.8e-3. Frames of dynamics have more than 1.6e-3 and 1.0e-3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,13 +226,6 @@ class Hold:
         """Strengths, and the name of any other restraint."""
         term = [] if self.term is None else [name_of(self.term)]
         return [*self.strengths, *term, *map(str, self.listed)]
-
-
-_CHIRAL_STIFFNESS = 1e8
-"""kJ/mol/nm^6. Inverting an atom costs about 1000 kJ/mol, more than overlaps and springs provide."""
-_HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
-"""nm^3, volumes below which an atom is pushed: of three heavy neighbours, and with a hydrogen. Ideal residues
-have 2.5e-3 and 1.8e-3. Frames of dynamics have more than 1.6e-3 and 1.0e-3."""
 
 
 @dataclass(frozen=True, eq=False)

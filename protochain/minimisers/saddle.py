@@ -56,8 +56,7 @@ ended at a positive bound of a negative eigenvalue."""
 FIRST, SHORTEST, LONGEST = 0.1, 1e-3, 1.6
 """rad, of the largest freedom: first, shortest and longest turn off a saddle point."""
 
-ROUNDS = 4
-"""Saddle points that a run may leave. Then it ends at one."""
+ROUNDS = 4  # Saddle points that a run may leave. Then it ends at one.
 
 
 @dataclass(frozen=True)

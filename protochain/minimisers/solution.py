@@ -38,8 +38,7 @@ from protochain.validation.ligands import describe_motion, ligand_motion, sdf_pr
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-N_FRAMES = 50
-"""Number of stored positions of a run, so that memory does not grow with it."""
+N_FRAMES = 50  # Number of stored positions of a run, so that memory does not grow with it.
 
 SIZES = ("rms_torque_kj_mol_rad", "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm")
 """Torques if hinges turn, or forces if all atoms move, restraints included. The others are missing."""

@@ -34,11 +34,8 @@ SOFT_ATOMS = 3.0
 """kJ/mol/nm^2, added for every atom to rank soft directions. Lowest eigenvalues of proteins are 2 to 20. With
 the minimisers' floor, and few pairs coupled, the search needs twice as many products."""
 
-_RANK = 1e-6
-"""nm per atom. Smaller total displacements are rounding, not motion."""
-
-_LARGE = 500
-"""Freedoms or atoms from which a stiffness is computed in a thread, so that Ctrl-C still works."""
+_RANK = 1e-6  # nm per atom. Smaller total displacements are rounding, not motion.
+_LARGE = 500  # Freedoms or atoms from which a stiffness is computed in a thread, so that Ctrl-C still works.
 
 
 @document_fields

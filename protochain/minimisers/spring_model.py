@@ -29,9 +29,7 @@ DECAY = 14.0
 """Decay rate of the stiffness per contact distance, as in the repulsive part of a curvature, r^-14. The whole
 12-6 curvature has a rate of 21 at contact."""
 
-REACH = 1.3
-"""Longest spring, in contact distances. Its stiffness is 2 % of the stiffness at contact."""
-
+REACH = 1.3  # Longest spring, in contact distances. Its stiffness is 2 % of the stiffness at contact.
 TORSION_FLOOR = 150.0
 """kJ/mol/rad^2, added for every freedom, for dihedrals and long-range forces. 60 to 400 perform alike."""
 
@@ -39,8 +37,7 @@ BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
 """kJ/mol/nm^2, of springs between atoms one, two and three bonds apart. Bonds of ff14SB have 1.5e5 to 5e5.
 Angles have 300 to 700 kJ/mol/rad^2, at a lever of about 0.1 nm."""
 
-CARTESIAN_FLOOR = 8.0e3
-"""kJ/mol/nm^2, added for every atom."""
+CARTESIAN_FLOOR = 8.0e3  # kJ/mol/nm^2, added for every atom.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,6 @@ def covalent(structure: Structure) -> Springs:
 
 Near = Callable[[Structure, Floats, int], Springs]
 """Springs between near atoms more than a number of bonds apart: :func:`contacts`, or softer ones."""
-
 
 Gradients = tuple[Integers, Floats, Floats]
 """Atoms (n, k) of angles or dihedrals, gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""

@@ -26,11 +26,12 @@ from protochain.minimisers.restraints import SOFT_TETHER, SoftRepulsion, Sum, Te
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.steps import StrongWolfe
 
-PATIENCE = 500
-"""Evaluations without a new lowest energy after which a run counts as stalled."""
+PATIENCE = 500  # Evaluations without a new lowest energy after which a run counts as stalled.
 
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
 """Endings that single precision may cause, by noise or by numbers above 1e38 if atoms overlap."""
+Answer = Callable[[Problem, Ending, Floats], Floats]
+"""Result of a stage, given the problem, the ending, and its first q."""
 
 
 def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
@@ -47,10 +48,6 @@ def lowest(problem: Problem, ending: Ending, q: Floats) -> Floats:
     if reached and problem.allows(end.x):
         return end.q
     return q if problem.best is None else problem.best.q
-
-
-Answer = Callable[[Problem, Ending, Floats], Floats]
-"""Result of a stage, given the problem, the ending, and its first q."""
 
 
 @dataclass(frozen=True, eq=False)

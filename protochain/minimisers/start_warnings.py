@@ -14,10 +14,10 @@ from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation.rings import threaded_rings
 from protochain.validation.violations import violations
 
-FAR = 2.0
-"""angstrom. C-alpha RMSD from the start at which the fold differs from the input."""
-
+FAR = 2.0  # angstrom. C-alpha RMSD from the start at which the fold differs from the input.
 _SHOWN_RINGS = 3
+_FROM_OVERLAPS = "from a start whose atoms overlapped; relax preserves the fold"
+_HOLD = "a largest RMSD (max_rmsd) or restraints of positions"
 
 
 def describe_start(structure: Structure, recipe: Recipe) -> list[str]:
@@ -73,10 +73,6 @@ def describe_stray(structure: Structure, x: Floats) -> str:
         return ""
     away = rmsd_angstrom(x[alpha], structure.positions[alpha])
     return f"{away:.1f} angstrom {_FROM_OVERLAPS}" if away > FAR else ""
-
-
-_FROM_OVERLAPS = "from a start whose atoms overlapped; relax preserves the fold"
-_HOLD = "a largest RMSD (max_rmsd) or restraints of positions"
 
 
 def describe_rmsd(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:

@@ -26,8 +26,7 @@ from protochain.minimisers.stages import overlap_stage, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure import Structure
 
-_BUDGET = 500
-"""Largest number of evaluations of soft repulsion before a start."""
+_BUDGET = 500  # Largest number of evaluations of soft repulsion before a start.
 
 
 def lowest_solution(solutions: Iterable[Solution]) -> Solution:

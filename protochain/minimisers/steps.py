@@ -10,15 +10,12 @@ from protochain.core.arrays import Floats
 from protochain.core.settings import document_fields
 from protochain.minimisers.problem import Evaluation, Problem
 
-SMALLEST = 1e-8
-"""rad or nm. The gain of a shorter step would disappear in the rounding of the energy."""
-
+SMALLEST = 1e-8  # rad or nm. The gain of a shorter step would disappear in the rounding of the energy.
 
 _DECREASE, _FLATTER = 1e-4, 0.9
 """Constants of the strong Wolfe conditions for quasi-Newton steps, as in Nocedal and Wright."""
 
-_MOST = 10
-"""Largest number of doublings, and then of points between two."""
+_MOST = 10  # Largest number of doublings, and then of points between two.
 
 _Along = Callable[[float], float]
 _Point = tuple[float, ...]

@@ -16,17 +16,11 @@ from protochain.minimisers.stages import Stage
 from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import ThreadedRing, threaded_rings
 
-ATTEMPTS = 5
-"""Number of sides of a ring that are tried in turn."""
-
-_STIFFNESS = 2e4
-"""kJ/mol/nm^2."""
-_OUTSIDE = 0.35
-"""nm from a ring's centre to the middle of an unthreaded bond: a ring's radius and a contact."""
-_PATH_RADIUS = 0.3
-"""nm. Nearer atoms block the path of the bond."""
-_ATOM_COST = 0.05
-"""nm, cost of each atom in the path."""
+ATTEMPTS = 5  # Number of sides of a ring that are tried in turn.
+_STIFFNESS = 2e4  # kJ/mol/nm^2.
+_OUTSIDE = 0.35  # nm from a ring's centre to the middle of an unthreaded bond: a ring's radius and a contact.
+_PATH_RADIUS = 0.3  # nm. Nearer atoms block the path of the bond.
+_ATOM_COST = 0.05  # nm, cost of each atom in the path.
 _BOND_COST = 0.3
 """nm, cost of each end of a side that is bonded to other heavy atoms: the bond would get stuck there."""
 

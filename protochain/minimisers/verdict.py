@@ -28,9 +28,8 @@ from protochain.validation.strain import bond_lines, wrong_bonds
 _REMEDY = "remove such hydrogens from the file to place them again, or relax the structure"
 """Remedy for bonds of wrong lengths."""
 
-
-Concerns = Callable[[Integers], NDArray[np.bool_]]
-"""Rows of atoms (n, k) that count, as (n,) bool."""
+Concerns = Callable[[Integers], NDArray[np.bool_]]  # Rows of atoms (n, k) that count, as (n,) bool.
+_METAL_CHANGE = 0.05  # Angstrom, largest change of a metal bond that is not reported.
 
 
 def every_row(atoms: Integers) -> NDArray[np.bool_]:
@@ -117,10 +116,6 @@ def verdict(
     if problems and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*problems, measured])}"
     return status, message if status is Status.CLASH else "; ".join([message, *problems])
-
-
-_METAL_CHANGE = 0.05
-"""Angstrom, largest change of a metal bond that is not reported."""
 
 
 def _changed_metal_bonds(structure: Structure, x: Floats) -> list[str]:

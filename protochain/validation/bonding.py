@@ -17,6 +17,7 @@ _SALT = 4.0
 Biol. 168:867 (1983)."""
 _CATION, _ANION = ("NZ", "NE", "NH1", "NH2"), ("OD1", "OD2", "OE1", "OE2")
 _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
+FOLD = {"H": "helix", "E": "strand", "C": "loop"}
 
 
 def hydrogen_bonds(structure: Structure) -> Integers:
@@ -58,6 +59,3 @@ def secondary_structure(structure: Structure) -> NDArray[np.str_]:
 
     codes = mdtraj.compute_dssp(to_mdtraj(structure))[0]
     return np.array([FOLD.get(str(code), "") for code in codes])
-
-
-FOLD = {"H": "helix", "E": "strand", "C": "loop"}

@@ -11,8 +11,7 @@ from protochain.structure.molecule.model import Structure
 from protochain.structure.sidechains.ideal import place_points, unit
 from protochain.validation.layout import NONE, layout, positions
 
-LIMIT = 0.25
-"""Angstrom from which a deviation is an outlier."""
+LIMIT = 0.25  # Angstrom from which a deviation is an outlier.
 
 _IDEAL = {
     "ALA": (1.536, 110.1, 122.9, 110.6, -122.6),

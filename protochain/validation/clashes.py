@@ -15,8 +15,7 @@ from protochain.structure.molecule.model import Structure, per_structure
 from protochain.validation.layout import positions
 from protochain.validation.rings import rings
 
-OVERLAP = 0.4
-"""Angstrom of overlap that make a clash."""
+OVERLAP = 0.4  # Angstrom of overlap that make a clash.
 _BOND, _CHARGED_BOND = 0.6, 0.8
 """Angstrom by which a hydrogen bond may overlap more, the second between opposite charges."""
 
@@ -28,10 +27,8 @@ _RADIUS = {
 }  # fmt: skip
 """Angstrom, as in Probe, with Pauling's radii of ions."""
 _RADIUS_UNKNOWN = 1.00
-_DOTS = 24
-"""On each side of a contact."""
-_RIM = 0.85
-"""Share of the area of a contact that they cover: Probe has seldom a dot at its very rim."""
+_DOTS = 24  # On each side of a contact.
+_RIM = 0.85  # Share of the area of a contact that they cover: Probe has seldom a dot at its very rim.
 _PORTION, _NEAREST = 2000, 8
 """Pairs per batch, and atoms compared first around a dot. They limit memory and time if atoms are crowded."""
 _POLAR_OR_AROMATIC_H, _CARBONYL, _AROMATIC = 1.05, 1.65, 1.75

@@ -24,8 +24,7 @@ _RADIUS = {
 """angstrom, of atoms with 0, 1, 2 ... hydrogens: radii of CCP4's program sc by Lawrence. It selects them by
 names of atoms, this module by numbers of hydrogens, so that ligands and nucleotides have them too."""
 _AROMATIC_CH, _OTHERS = 1.90, 1.90
-_BEYOND = 2.0 * BAND
-"""angstrom around atoms that may be buried, so that their periphery is known."""
+_BEYOND = 2.0 * BAND  # angstrom around atoms that may be buried, so that their periphery is known.
 
 
 def united_radii(structure: Structure) -> Floats:

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, cross, sphere
 
-_SAME = 1e-6
-"""angstrom. Shorter distances between two places of the probe are rounding."""
+_SAME = 1e-6  # angstrom. Shorter distances between two places of the probe are rounding.
 
 
 @dataclass(frozen=True, eq=False)

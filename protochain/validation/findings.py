@@ -36,7 +36,6 @@ from protochain.validation.violations import violations
 if TYPE_CHECKING:
     import pandas as pd
 
-
 _T = TypeVar("_T")
 
 

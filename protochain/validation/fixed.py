@@ -16,8 +16,7 @@ from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.validation.layout import positions
 from protochain.validation.strain import covalent_radii, metals, wrong_bonds
 
-_CLASH = 0.15
-"""nm of overlap of heavy atoms, as AlphaFold counts clashes between residues."""
+_CLASH = 0.15  # nm of overlap of heavy atoms, as AlphaFold counts clashes between residues.
 _BOND_SLACK = 0.3
 """Angstrom beyond the sum of the covalent radii up to which atoms of two molecules are bonded."""
 

@@ -34,9 +34,7 @@ from protochain.validation.packing import packing
 if TYPE_CHECKING:
     import pandas as pd
 
-
-Sides = tuple[NDArray[np.bool_], NDArray[np.bool_]]
-"""Residues (nr,) of either side."""
+Sides = tuple[NDArray[np.bool_], NDArray[np.bool_]]  # Residues (nr,) of either side.
 
 
 class Score(NamedTuple):
@@ -113,14 +111,10 @@ CONFIDENCES: Mapping[str, Score] = MappingProxyType(
 )
 """Columns of predicted models."""
 
-_NEAR = 0.9
-"""nm from the other side within which the area of an atom may change, and its neighbours matter."""
-_PROBE, _POINTS = 0.14, 960
-"""nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973)."""
-_ONE_PLACE = 2e-5
-"""nm apart: mdtraj treats atoms within 1e-5 as one place."""
-_HIDDEN = 1.0
-"""angstrom^2 of accessible area, including its hydrogens, below which a polar atom is buried."""
+_NEAR = 0.9  # nm from the other side within which the area of an atom may change, and its neighbours matter.
+_PROBE, _POINTS = 0.14, 960  # nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973).
+_ONE_PLACE = 2e-5  # nm apart: mdtraj treats atoms within 1e-5 as one place.
+_HIDDEN = 1.0  # angstrom^2 of accessible area, including its hydrogens, below which a polar atom is buried.
 _HYDROPHOBIC = ("ALA", "CYS", "PHE", "ILE", "LEU", "MET", "PRO", "VAL", "TRP", "TYR")
 """BindCraft's: Pacesa et al., Nature 646:483 (2025)."""
 _APOLAR = ("C", "S", "SE", "F", "CL", "BR", "I")

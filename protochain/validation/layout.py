@@ -10,8 +10,7 @@ from protochain.core.graph import both_ways
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
 from protochain.structure.molecule.residues import BACKBONE
 
-NONE = -1
-"""Index for an atom or residue that does not exist."""
+NONE = -1  # Index for an atom or residue that does not exist.
 
 
 class Layout(NamedTuple):

@@ -22,12 +22,9 @@ from protochain.structure.molecule.model import BoundLigand, Structure, per_posi
 from protochain.structure.molecule.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
 
-_MOST_MATCHES = 10_000
-"""Numberings that are tried: a molecule with 4 t-butyl groups has 1296."""
-CONTACT = 4.0
-"""Angstrom between heavy atoms."""
-_RECEPTOR = 10.0
-"""Angstrom from the ligand. PoseBusters' tests do not need molecules farther away."""
+_MOST_MATCHES = 10_000  # Numberings that are tried: a molecule with 4 t-butyl groups has 1296.
+CONTACT = 4.0  # Angstrom between heavy atoms.
+_RECEPTOR = 10.0  # Angstrom from the ligand. PoseBusters' tests do not need molecules farther away.
 LIGAND_COLUMNS = (
     "chain", "residue", "name", "source", "strain_kj_mol", "contacts", "clashes", "inverted",
     "posebusters_passed", "posebusters_failed",
@@ -277,7 +274,6 @@ def _at(key: str, when: str) -> str:
     return f"{key.removesuffix(unit)}_{when}{unit}" if key.endswith(unit) else f"{key}_{when}"
 
 
-MOTION = ("rmsd_angstrom", "displacement_max_angstrom")
-"""Columns of :func:`ligand_motion`."""
+MOTION = ("rmsd_angstrom", "displacement_max_angstrom")  # Columns of :func:`ligand_motion`.
 LIGAND_ENDS = (*(_at(key, when) for key in LIGAND_COLUMNS[4:] for when in ("start", "end")), *MOTION)
 """Columns of :func:`at_both_ends`, without residue and source."""

@@ -17,8 +17,7 @@ from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation.layout import NONE, layout
 
-RADIUS = 15.0
-"""Angstrom within which distances of the reference count."""
+RADIUS = 15.0  # Angstrom within which distances of the reference count.
 _TOLERANCES = (0.5, 1.0, 2.0, 4.0)
 """Angstrom by which a distance may differ to count as preserved. The score is the mean over the four."""
 _TWINS = {

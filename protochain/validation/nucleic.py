@@ -35,6 +35,7 @@ _LEAST, _MIDDLE, _MOST = 55.0, 110.0, 175.0
 _PERPENDICULAR = 2.9
 """Angstrom: from the phosphate after a ribose to the line of its glycosidic bond. With C3'-endo it is more
 (Richardson et al., RNA 14:465, 2008)."""
+_BONDED = 0.25  # nm: O3' and P that are further apart belong to two strands.
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +119,6 @@ def _from_glycosidic_bond(x: Floats, atoms_of: dict[int, dict[str, int]], residu
     if np.linalg.norm(x[after["P"]] - x[atoms["O3'"]]) > _BONDED:
         return np.nan
     return ANGSTROM_PER_NM * float(np.linalg.norm(np.cross(bond, arm)) / np.linalg.norm(bond))
-
-
-_BONDED = 0.25
-"""nm: O3' and P that are further apart belong to two strands."""
 
 
 def _pairs(structure: Structure, x: Floats, atoms_of: dict[int, dict[str, int]]) -> Integers | None:

@@ -9,10 +9,8 @@ from protochain.core.arrays import Floats, Integers
 from protochain.structure.molecule.model import Structure
 from protochain.validation.layout import peptides, positions
 
-PLANAR = 30.0
-"""Degrees from planarity beyond which a peptide bond is twisted, as in mmtbx's omegalyze."""
-PERPENDICULAR = 90.0
-"""Degrees: between cis and trans."""
+PLANAR = 30.0  # Degrees from planarity beyond which a peptide bond is twisted, as in mmtbx's omegalyze.
+PERPENDICULAR = 90.0  # Degrees: between cis and trans.
 
 
 class Peptides(NamedTuple):

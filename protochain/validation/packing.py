@@ -12,10 +12,8 @@ from protochain.core.arrays import Floats
 
 PROBE, REACH, GRID = 1.4, 2.8, 0.4
 """angstrom: radius of water, distance from either side, distance between points."""
-_STEP = 0.1
-"""angstrom between sizes of balls."""
-_FEW = 4
-"""Number of nearest centres. One of them belongs to the nearest surface."""
+_STEP = 0.1  # angstrom between sizes of balls.
+_FEW = 4  # Number of nearest centres. One of them belongs to the nearest surface.
 
 
 def packing(x: Floats, radius: Floats, partner: Floats, partner_radius: Floats) -> float:

@@ -15,14 +15,12 @@ from protochain.validation.layout import NONE, layout, peptides, positions
 CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", "ile_val")
 """Classes of residues, as their tables are called."""
 REGIONS = ("outlier", "allowed", "favoured")
-
 FAVOURED = 0.02
 ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
 """Least score of a favoured and, by class, of an allowed residue, as in mmtbx's ramalyze."""
 _CIS = 90.0
 """Degrees of omega below which a proline counts as cis here, as in ramalyze, without a third class."""
-_CELL = 2.0
-"""Degrees between the points of the tables, which lie at odd degrees."""
+_CELL = 2.0  # Degrees between the points of the tables, which lie at odd degrees.
 _TABLES = Path(__file__).parent / "data" / "ramachandran.npz"
 
 

@@ -17,10 +17,8 @@ from protochain.validation.layout import positions
 LARGEST = 20
 """Atoms of the largest ring examined. A chain cannot pass through such a small ring. Macrocycles that are
 threaded in nature, for example lasso peptides, have more."""
-_SMALL = 7
-"""Atoms of the largest ring that is nearly flat. Its surface is spanned from its centre."""
-_LONG = 0.25
-"""nm. Longer bonds are compared with every ring."""
+_SMALL = 7  # Atoms of the largest ring that is nearly flat. Its surface is spanned from its centre.
+_LONG = 0.25  # nm. Longer bonds are compared with every ring.
 
 
 @document_fields

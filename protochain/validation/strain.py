@@ -33,10 +33,8 @@ from protochain.structure.molecule.templates import (
 )
 from protochain.validation.layout import positions
 
-BEYOND = 4.0
-"""Standard deviations."""
-_THERMAL = 8.314462618e-3 * 300.0
-"""kJ/mol: RT at 300 K."""
+BEYOND = 4.0  # Standard deviations.
+_THERMAL = 8.314462618e-3 * 300.0  # kJ/mol: RT at 300 K.
 WINDOW = 0.03
 """nm from the reference, 11 thermal standard deviations of a C-H bond. Hydrogens of sound files are up to
 0.024 farther away (OpenMM's Modeller), bonds of DNA in crystals are off by up to 0.011."""

@@ -25,10 +25,8 @@ from protochain.validation.layout import positions
 from protochain.validation.strain import bond_lines, wrong_bonds
 
 _SIGMAS = 12.0
-_OVERLAP = 1.5
-"""Angstrom by which two atoms may overlap."""
-_RADIUS = {"C": 1.7, "N": 1.55, "O": 1.52, "S": 1.8}
-"""AlphaFold's van der Waals radii, angstrom."""
+_OVERLAP = 1.5  # Angstrom by which two atoms may overlap.
+_RADIUS = {"C": 1.7, "N": 1.55, "O": 1.52, "S": 1.8}  # AlphaFold's van der Waals radii, angstrom.
 
 _BOND, _BOND_PROLINE = (1.329, 0.014), (1.341, 0.016)
 """Angstrom: length of C-N and its standard deviation, then for the N of a proline."""
@@ -36,16 +34,11 @@ _CA_C_N = (-0.4473, 0.014)
 """Cosine and standard deviation. AlphaFold up to 2.3, ColabFold and OpenFold use the deviation of the
 bond here. AlphaFold uses 0.0311 since September 2025. The stricter, earlier value is used."""
 _C_N_CA = (-0.5203, 0.0353)
-_SOFT = 1e-6
-"""Added to squares under a root, as in AlphaFold's counts."""
-_CA, _C, _N = 1, 2, 0
-"""Places of backbone atoms in a residue."""
-_WIDTH = 14
-"""Heavy atoms of the largest amino acid, without the second oxygen of a terminus."""
-_TYPES = tuple(STANDARD)
-"""Amino acids, in the order of the tables."""
-_TABLE = Path(__file__).parent / "data" / "geometry.csv"
-"""Bond lengths and angles of the amino acids."""
+_SOFT = 1e-6  # Added to squares under a root, as in AlphaFold's counts.
+_CA, _C, _N = 1, 2, 0  # Places of backbone atoms in a residue.
+_WIDTH = 14  # Heavy atoms of the largest amino acid, without the second oxygen of a terminus.
+_TYPES = tuple(STANDARD)  # Amino acids, in the order of the tables.
+_TABLE = Path(__file__).parent / "data" / "geometry.csv"  # Bond lengths and angles of the amino acids.
 
 
 @document_fields

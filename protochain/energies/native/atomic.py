@@ -33,8 +33,7 @@ yield_processor: Any = types.ExternalFunction(
 _IS_WINDOWS = sys.platform == "win32"
 _counter: Any = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
 _clock: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
-TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9
-"""s. Unit of :func:`ticks`."""
+TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9  # s. Unit of :func:`ticks`.
 _MONOTONIC = 6 if sys.platform == "darwin" else 1
 
 

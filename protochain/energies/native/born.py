@@ -40,8 +40,7 @@ from protochain.energies.native.series import integral_series, inverse_root, log
 
 _LN2 = float(np.log(2.0))
 _LOG2E = 1.0 / _LN2
-BATCH = 64
-"""Near pairs computed at a time."""
+BATCH = 64  # Near pairs computed at a time.
 
 
 @chunk_kernel

@@ -26,8 +26,7 @@ from protochain.energies.protocol import Energy
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
 """Threads of numba: number of processors, or NUMBA_NUM_THREADS."""
-_COARSE, _WATER = 0.9, 78.5
-"""Cutoff in nm, and dielectric constant."""
+_COARSE, _WATER = 0.9, 78.5  # Cutoff in nm, and dielectric constant.
 
 
 class NativeEnergy:

@@ -23,8 +23,7 @@ from protochain.energies.native.neighbours import Lists, block_groups, make_list
 from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
 from protochain.energies.native.terms import Bonded, Terms
 
-CLOSE = 0.35
-"""nm. Closer pairs come from a list, which includes all excluded and clashing pairs."""
+CLOSE = 0.35  # nm. Closer pairs come from a list, which includes all excluded and clashing pairs.
 
 
 @dataclass(frozen=True, eq=False)

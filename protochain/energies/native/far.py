@@ -21,12 +21,9 @@ from protochain.energies.native.tree import FIRST, LEFT, Tree
 
 _SMALLEST = 0.15
 """Largest s / r at which two terms approximate the descreening integral to 1.7e-4 of its value."""
-_LEAST = 1.0
-"""nm. Smallest distance of far atoms: r^-12 is negligible, and no pair is bonded."""
-_REST = 2
-"""Order of the correction for scaled radii that differ from the mean, in integrals."""
-_FACTORED = 3e-4
-"""Largest error of the products of factors, as a share of the largest B."""
+_LEAST = 1.0  # nm. Smallest distance of far atoms: r^-12 is negligible, and no pair is bonded.
+_REST = 2  # Order of the correction for scaled radii that differ from the mean, in integrals.
+_FACTORED = 3e-4  # Largest error of the products of factors, as a share of the largest B.
 
 
 def _two_terms() -> tuple[float, float]:
@@ -35,8 +32,7 @@ def _two_terms() -> tuple[float, float]:
     return 2.0 / 3.0, float(np.sum((g - 2.0 / 3.0) * y) / np.sum(y * y))
 
 
-FAR_TERMS = _two_terms()
-"""c_0 and c_1 of s^3 / 2 (c_0 / r^4 + c_1 s^2 / r^6)."""
+FAR_TERMS = _two_terms()  # c_0 and c_1 of s^3 / 2 (c_0 / r^4 + c_1 s^2 / r^6).
 
 
 @document_fields
@@ -66,8 +62,7 @@ def least_distance(layout: Layout) -> float:
     return max(_LEAST, layout.near, layout.neck_reach, s / _SMALLEST)
 
 
-FEWEST_BLOCKS = 64
-"""Smallest number of blocks for a tree, because each chunk requires some."""
+FEWEST_BLOCKS = 64  # Smallest number of blocks for a tree, because each chunk requires some.
 _OPENINGS = (
     (Opening(0.6, 5, 6.0), 1e-2, 1.0),
     (Opening(0.5, 5, 7.0), 5e-3, 0.5),

@@ -10,12 +10,10 @@ Job = Callable[[], None]
 """Job of helpers: part of the work, until none remains."""
 _MEMORY = 0.1
 """s over which the time saved by helpers is averaged: many turns of the operating system's scheduler."""
-_SHORTEST, _LONGEST = 0.1, 3.2
-"""s. Shortest and longest pause of helpers."""
+_SHORTEST, _LONGEST = 0.1, 3.2  # s. Shortest and longest pause of helpers.
 _PROVEN = 0.3
 """Share of time saved that resets the length of pauses. Two undisturbed threads have a share of 1."""
-_CREDIT = 0.01
-"""s. Initial credit of helpers: a few turns of the scheduler."""
+_CREDIT = 0.01  # s. Initial credit of helpers: a few turns of the scheduler.
 
 
 @dataclass
@@ -26,11 +24,9 @@ class Worth:
     energy has the same bits on any number of threads.
     """
 
-    balance: float = _CREDIT
-    """s saved recently, as a decaying sum."""
-    pause: float = 0.0
-    pause_end: float = 0.0
-    """Length and end of the last pause, s."""
+    balance: float = _CREDIT  # s saved recently, as a decaying sum.
+    pause: float = 0.0  # s. Length of the last pause.
+    pause_end: float = 0.0  # s. End of the last pause.
 
     def should_ask(self, now: float) -> bool:
         """Whether to ask for helpers at a time in s."""

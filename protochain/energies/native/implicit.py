@@ -11,18 +11,38 @@ from protochain.core.units import COULOMB
 from protochain.energies.native.neck import REACH
 from protochain.energies.native.reading import UnsupportedForceError, plain, rows, strip
 
-COULOMB_CUSTOM = 138.935485
-"""COULOMB as the implicit-solvent files round it."""
+COULOMB_CUSTOM = 138.935485  # COULOMB as the implicit-solvent files round it.
 OBC2_CHARGE_SCALE = np.sqrt(COULOMB_CUSTOM / COULOMB)
 """Factor of the charges of GBSAOBCForce. It rounds COULOMB differently, and energies become equal."""
-_PROBE = 0.14
-"""nm. Radius of water."""
-_AREA_CUSTOM = 28.3919551
-"""kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it."""
+_PROBE = 0.14  # nm. Radius of water.
+_AREA_CUSTOM = 28.3919551  # kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it.
 OBC_OFFSET = 0.009
 """nm. Offset of the dielectric radii. GBSAOBCForce subtracts it, in the files it is already subtracted."""
-_OBC2 = (1.0, 0.8, 4.85)
-"""alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1."""
+_OBC2 = (1.0, 0.8, 4.85)  # alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1.
+_NUMBER = r"([-+.\deE]+)"
+_HCT = (
+    "select(step(r+sr2-or1),0.5*(1/L-1/U+0.25*(r-sr2^2/r)*(1/(U^2)-1/(L^2))+0.5*log(L/U)/r),0);"
+    "U=r+sr2;L=max(or1,D);D=abs(r-sr2)"
+)
+_NECK = (
+    "Ivdw+neckScale*Ineck;Ineck=step(radius1+radius2+neckCut-r)*getm0(radindex1,radindex2)/"
+    "(1+100*(r-getd0(radindex1,radindex2))^2+0.3*1000000*(r-getd0(radindex1,radindex2))^6);Ivdw="
+) + _HCT
+_WITH_NECKS = re.compile(
+    re.escape(_NECK)
+    + rf";radius1=or1\+offset;radius2=or2\+offset;neckScale={_NUMBER};neckCut={_NUMBER};offset={_NUMBER}"
+)
+_PLAIN_RADIUS = "1/(1/or-I)"
+_BENT_RADIUS = re.compile(rf"1/\(1/or-tanh\((.+)\)/radius\);psi=I\*or;radius=or\+offset;offset={_NUMBER}")
+_BEND = re.compile(rf"(?:(alpha|{_NUMBER})\*)?psi(?:-(beta|{_NUMBER})\*psi\^2)?\+(gamma|{_NUMBER})\*psi\^3")
+_PARAMETERS = re.compile(
+    rf";solventDielectric={_NUMBER};soluteDielectric={_NUMBER};kappa={_NUMBER};offset={_NUMBER}(?:;cutoff={_NUMBER})?$"
+)
+_POLAR = "138.935485*(1/soluteDielectric-{}/solventDielectric)*"
+_SELF = "-0.5*" + _POLAR + "charge^2/B"
+_SURFACE = "28.3919551*(radius+0.14)^2*(radius/B)^6;radius=or+offset"
+_PAIR = "-" + _POLAR + "charge1*charge2"
+_F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,32 +95,6 @@ def _polar(inside: float, outside: float) -> float:
     if inside > outside:
         raise UnsupportedForceError(f"generalised Born of dielectric {inside:g} inside, {outside:g} outside")
     return 1.0 / inside - 1.0 / outside
-
-
-_NUMBER = r"([-+.\deE]+)"
-_HCT = (
-    "select(step(r+sr2-or1),0.5*(1/L-1/U+0.25*(r-sr2^2/r)*(1/(U^2)-1/(L^2))+0.5*log(L/U)/r),0);"
-    "U=r+sr2;L=max(or1,D);D=abs(r-sr2)"
-)
-_NECK = (
-    "Ivdw+neckScale*Ineck;Ineck=step(radius1+radius2+neckCut-r)*getm0(radindex1,radindex2)/"
-    "(1+100*(r-getd0(radindex1,radindex2))^2+0.3*1000000*(r-getd0(radindex1,radindex2))^6);Ivdw="
-) + _HCT
-_WITH_NECKS = re.compile(
-    re.escape(_NECK)
-    + rf";radius1=or1\+offset;radius2=or2\+offset;neckScale={_NUMBER};neckCut={_NUMBER};offset={_NUMBER}"
-)
-_PLAIN_RADIUS = "1/(1/or-I)"
-_BENT_RADIUS = re.compile(rf"1/\(1/or-tanh\((.+)\)/radius\);psi=I\*or;radius=or\+offset;offset={_NUMBER}")
-_BEND = re.compile(rf"(?:(alpha|{_NUMBER})\*)?psi(?:-(beta|{_NUMBER})\*psi\^2)?\+(gamma|{_NUMBER})\*psi\^3")
-_PARAMETERS = re.compile(
-    rf";solventDielectric={_NUMBER};soluteDielectric={_NUMBER};kappa={_NUMBER};offset={_NUMBER}(?:;cutoff={_NUMBER})?$"
-)
-_POLAR = "138.935485*(1/soluteDielectric-{}/solventDielectric)*"
-_SELF = "-0.5*" + _POLAR + "charge^2/B"
-_SURFACE = "28.3919551*(radius+0.14)^2*(radius/B)^6;radius=or+offset"
-_PAIR = "-" + _POLAR + "charge1*charge2"
-_F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
 def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:

@@ -13,8 +13,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.compilation import njit
 
-W = 32
-"""Atoms in a block. Wider blocks waste time on padding, narrower blocks on sums along rows."""
+W = 32  # Atoms in a block. Wider blocks waste time on padding, narrower blocks on sums along rows.
 X, Y, Z, CHARGE, GB_CHARGE, S2, S3, BORN, HALF_INVERSE_BORN, PULL, BOX = range(11)
 """Rows of a block: position (nm), charges times the root of their constant, square and half the cube of the
 scaled radius, Born radius B, 1/(2 B), dE/d(Born integral), and lowest and highest x, y, z of its atoms."""
@@ -24,10 +23,8 @@ FX, FY, FZ, SCALAR = range(4)
 SUMS = 4
 CHUNKS = 16
 """Parts of the work, for any number of threads. The order of sums is fixed, so results are bit-identical."""
-Share = tuple[int, int]
-"""Range of chunks for a kernel call, from the first to before the second."""
-FAR_AWAY = 1e6
-"""nm. Spacing of the atoms that pad the last block, which have neither charge nor radius."""
+Share = tuple[int, int]  # Range of chunks for a kernel call, from the first to before the second.
+FAR_AWAY = 1e6  # nm. Spacing of the atoms that pad the last block, which have neither charge nor radius.
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -22,13 +22,11 @@ from protochain.energies.native.layout import (
 )  # fmt: skip
 from protochain.energies.native.series import inverse_root
 
-REACH = 0.68
-"""nm. Largest distance between the surfaces of two atoms with a neck."""
+REACH = 0.68  # nm. Largest distance between the surfaces of two atoms with a neck.
 HEIGHT_I, PLACE_I, HEIGHT_J, PLACE_J, REACH2 = range(5)
 """Rows for each type of atom i with a block of atoms j: height and position of the neck's peak for i and for
 j, and square of the distance at which the neck ends."""
-_WIDE, _STEEP = 100.0, 0.3e6
-"""1/nm^2 and 1/nm^6: a neck of unit height is 1 / (1 + 100 d^2 + 300000 d^6)."""
+_WIDE, _STEEP = 100.0, 0.3e6  # 1/nm^2 and 1/nm^6: a neck of unit height is 1 / (1 + 100 d^2 + 300000 d^6).
 
 
 @chunk_kernel

@@ -8,8 +8,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import W, scalar
 from protochain.energies.native.pairs import difference
 
-SKIN = 0.1
-"""nm. Margin of the lists, which are valid until an atom has moved half of it."""
+SKIN = 0.1  # nm. Margin of the lists, which are valid until an atom has moved half of it.
 
 
 @dataclass(frozen=True, eq=False)

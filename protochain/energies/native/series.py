@@ -11,10 +11,8 @@ import numpy as np
 
 from protochain.energies.native.layout import ordered_kernel
 
-NEAR_RATIO = 0.5
-"""Largest s / r for which the near series are valid."""
-FAR_RATIO = 0.24
-"""Largest s / r for which the far series are valid."""
+NEAR_RATIO = 0.5  # Largest s / r for which the near series are valid.
+FAR_RATIO = 0.24  # Largest s / r for which the far series are valid.
 
 
 def fit_chebyshev(
@@ -57,7 +55,6 @@ _FROM_ROOT_HALF = np.uint64(0x3FF0000000000000 - 0x3FE6A09E667F3BCD)
 """Difference from the bits of the root of 1/2 to the bits of 1."""
 _ROUNDING_BITS = np.uint64(0x4338000000000000)
 _LN2 = float(np.log(2.0))
-
 
 _Coefficients = tuple[float, ...]
 

@@ -10,8 +10,7 @@ from protochain.energies.native.layout import chunk_kernel, variant
 from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.series import inverse_root, power_of_two
 
-LENNARD_JONES, COULOMB, POLAR = range(3)
-"""Rows of the sums."""
+LENNARD_JONES, COULOMB, POLAR = range(3)  # Rows of the sums.
 _LOG2E = float(1.0 / np.log(2.0))
 
 

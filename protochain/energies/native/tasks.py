@@ -26,24 +26,20 @@ from protochain.energies.native.layout import (
     put_positions,
 )
 
-COUNTERS = 96
-"""Length of the array of counters."""
+COUNTERS = 96  # Length of the array of counters.
 NEXT, OPEN, DONE, LAST, QUIT, TASKS, STEPS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 66, 80, 81, 82, 83
 """Its elements, far apart for the cache: next task, tasks opened, tasks done, tasks of all energies so far,
 whether helpers must quit, tasks of a step (a divisor of CHUNKS), number of steps. For the last energy: its
 tasks, tasks of the leading thread, ticks that this thread waited, and its total ticks."""
-_SPINS = 2000
-"""Checks of the counters before a waiting thread yields to the operating system: some 50 us."""
+_SPINS = 2000  # Checks of the counters before a waiting thread yields to the operating system: some 50 us.
 _PATIENCE = 8000
 """Checks of the counters before a helper quits and must be woken for the next energy: some 200 us."""
 IN_VACUUM, IN_SOLVENT, TO_RADII = 2, 6, 2
 """Steps of an energy in vacuum and in solvent, and steps up to the Born radii."""
 Pairwise = tuple[float, float, float, float]
 """Smallest distance in tiles, cutoff, and the constants of the reaction field."""
-Term = tuple[Integers, Floats]
-"""Atoms and parameters of the terms of one kind."""
-Maps = tuple[Integers, Integers, Floats]
-"""Atoms, number of the map and coefficients of CMAP."""
+Term = tuple[Integers, Floats]  # Atoms and parameters of the terms of one kind.
+Maps = tuple[Integers, Integers, Floats]  # Atoms, number of the map and coefficients of CMAP.
 Listed = tuple[
     tuple[Floats, Floats, Floats, Integers], Integers, Term, Term, Term, Term, Term, Term, Term, Maps
 ]

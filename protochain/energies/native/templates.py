@@ -34,6 +34,10 @@ _GENERATORS = {
     generators.NonbondedGenerator,
 }  # fmt: skip
 """Classes of the generators that are read. Each has terms that depend on the types of their atoms only."""
+_Built = list[tuple[list[int], list[float]]]
+"""Terms of a combination of atom types: order of the atoms, and parameters."""
+_KNOWN: WeakKeyDictionary[app.ForceField, dict[Any, Any]] = WeakKeyDictionary()
+"""What a force field has built: terms by the types of their atoms in order, and atoms of residues."""
 
 
 class _Assigned(NamedTuple):
@@ -156,12 +160,6 @@ def _impropers(start: Integers, partners: Integers) -> Integers:
             groups.append(np.column_stack([centre, partners[start[centre][:, None] + trio]]))
     rows = np.concatenate(groups)
     return rows[np.argsort(rows[:, 0], kind="stable")]
-
-
-_Built = list[tuple[list[int], list[float]]]
-"""Terms of a combination of atom types: order of the atoms, and parameters."""
-_KNOWN: WeakKeyDictionary[app.ForceField, dict[Any, Any]] = WeakKeyDictionary()
-"""What a force field has built: terms by the types of their atoms in order, and atoms of residues."""
 
 
 def _copy_parameters(

@@ -15,6 +15,18 @@ from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gb
 from protochain.energies.native.maps import spline_coefficients
 from protochain.energies.native.reading import UnsupportedForceError, check_cutoff, plain, rows, strip
 
+NO_MAPS = np.zeros((1, 1, 1, 4, 4))  # Coefficients of a System without torsion maps.
+SHAPES = {
+    "bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1),
+    "ties": (2, 2), "tie angles": (3, 2),
+}  # fmt: skip
+"""Atoms and parameters of each kind."""
+TIES = "ties of kept molecules"
+"""Name of the harmonic forces for bonds between the protein and hetero molecules, separate kinds."""
+_TIED = {"ties": "bonds", "tie angles": "angles"}
+_WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "CustomGBForce")
+_ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
+
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
@@ -103,20 +115,6 @@ def compile_system(system: openmm.System) -> Terms:
     if solvent is not None:
         check_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
     return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
-
-
-NO_MAPS = np.zeros((1, 1, 1, 4, 4))
-"""Coefficients of a System without torsion maps."""
-SHAPES = {
-    "bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1),
-    "ties": (2, 2), "tie angles": (3, 2),
-}  # fmt: skip
-"""Atoms and parameters of each kind."""
-TIES = "ties of kept molecules"
-"""Name of the harmonic forces for bonds between the protein and hetero molecules, separate kinds."""
-_TIED = {"ties": "bonds", "tie angles": "angles"}
-_WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "CustomGBForce")
-_ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
 
 
 def _stack_terms(kind: str, forces_by_class: dict[str, list[openmm.Force]]) -> tuple[Integers, Floats]:
