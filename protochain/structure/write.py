@@ -25,21 +25,8 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary, of_residue
 from protochain.ligands.tables import ORDERS, heavy_rows, rows
 from protochain.structure.convert import as_structure, final_structure
+from protochain.structure.formats import records
 from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
-from protochain.structure.formats.records import (
-    SPRINGS,
-    Rows,
-    Spring,
-    cif_rows,
-    orders,
-    pdb_lines,
-    put,
-    spring_remarks,
-    spring_rows,
-    springs_of,
-    with_component,
-    with_names,
-)
 from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, update_entities, with_header
 from protochain.structure.molecule.links import is_metal
 from protochain.structure.molecule.member import address_of
@@ -169,7 +156,7 @@ def _with_names(structure: Structure, names: Mapping[str, str]) -> Structure:
     header = structure.header
     # No source has the chemistry of a bonded component under the short name.
     for name in sorted(_without_template(structure) & names.keys()):
-        header = with_component(header, heavy_rows(names[name], of_residue(name, structure.header)))
+        header = records.with_component(header, heavy_rows(names[name], of_residue(name, structure.header)))
     return replace(structure, topology=topology, header=header)
 
 
@@ -412,9 +399,9 @@ def _mmcif(
     block = document.sole_block()
     quote_names(block)
     chemistry = _chemistry(models[0])
-    about = cif_rows(models[0].header, out, _label_map(models[0], out), chemistry)
-    put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
-    put(block, {SPRINGS: spring_rows(_springs(models))})
+    about = records.cif_rows(models[0].header, out, _label_map(models[0], out), chemistry)
+    records.put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
+    records.put(block, {records.SPRINGS: records.spring_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
         for i, line in enumerate(lines, 1):
@@ -433,7 +420,7 @@ def _pdb(
     chemistry = _chemistry(models[0])
     drawn = {row["comp_id"] for row in chemistry.get(_BONDS, ())}
     bonded = _without_template(models[0]) - drawn
-    before, names, complete = pdb_lines(models[0].header, out, chemistry, bonded)
+    before, names, complete = records.pdb_lines(models[0].header, out, chemistry, bonded)
     lines = [
         *before,
         *(
@@ -441,10 +428,10 @@ def _pdb(
             for text in (*remarks, *repairs)
             for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
         ),
-        *spring_remarks(_springs(models)),
+        *records.spring_remarks(_springs(models)),
     ]
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
-    order = orders(models[0].header, chemistry)
+    order = records.orders(models[0].header, chemistry)
     # Without a remark the dictionary has the orders of a component.
     _connect(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in complete})
     head = gemmi.PdbWriteOptions(
@@ -453,7 +440,7 @@ def _pdb(
     atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True, conect_records=True)
     # Columns 61-66 are blank if the B factor is unknown.
     written = str(out.make_pdb_string(atoms)).replace("   NaN          ", " " * 16)
-    return with_names(str(_merge_parts(out).make_pdb_string(head)), names) + written
+    return records.with_names(str(_merge_parts(out).make_pdb_string(head)), names) + written
 
 
 def _connect(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
@@ -498,9 +485,9 @@ def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:
     return bond_orders
 
 
-def _chemistry(structure: Structure) -> dict[str, Rows]:
+def _chemistry(structure: Structure) -> dict[str, records.Rows]:
     """Tables of the ligands of known chemistry, once for each component."""
-    tables: dict[str, Rows] = {}
+    tables: dict[str, records.Rows] = {}
     components: set[str] = set()
     for ligand in structure.ligands:
         component = str(structure.residue_name[structure.atom_residue[ligand.atoms[0]]])
@@ -512,7 +499,9 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
     return tables
 
 
-def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[str]) -> dict[str, Rows]:
+def _with_bonds(
+    about: Mapping[str, records.Rows], structure: Structure, complete: set[str]
+) -> dict[str, records.Rows]:
     """Add bonds and charges of the mobile components, unless the tables are complete.
 
     OpenMM reads no other bonds, except in standard residues. Heavy atoms are from the free component, as in
@@ -567,9 +556,9 @@ def _ends(row: Mapping[str, str]) -> frozenset[str]:
     return frozenset(row.get(f"atom_id_{k}", "?") for k in (1, 2))
 
 
-def _springs(models: Sequence[Structure]) -> list[Spring]:
+def _springs(models: Sequence[Structure]) -> list[records.Spring]:
     """Springs of all models, or none if they differ."""
-    first, *later = (springs_of(model) for model in models)
+    first, *later = (records.springs_of(model) for model in models)
     return first if all(springs == first for springs in later) else []
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
+from protochain.structure.molecule.member import residue_in_file
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.molecule.residues import BLANK, Residue
+from protochain.structure.molecule.residues import BLANK
 
 _NOT_BONDED = 2.0
 """Angstrom. Copies of a residue are different residues if all atoms are further from their namesakes."""
@@ -179,7 +180,7 @@ def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
                 is_amino = _is_amino(residue)
                 if nearest > _NOT_BONDED and all(copy.keys() == copies[0].keys() for copy in copies):
                     if is_amino:
-                        where = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
+                        where = residue_in_file(chain.name, residue)
                         raise StructureError(
                             f"{source}: {where} is there {len(copies)} times, {nearest:.1f} angstrom apart; "
                             "give each residue a number of its own"

@@ -21,13 +21,7 @@ from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
 from protochain.core.timings import part
-from protochain.structure.formats import foreign
-from protochain.structure.formats.chain_splitting import (
-    join_residues,
-    separate_caps,
-    separate_chains,
-    separate_molecules,
-)
+from protochain.structure.formats import chain_splitting, foreign
 from protochain.structure.formats.ions import name_ions
 from protochain.structure.formats.pdb_text import add_elements, is_atom, join_segments, remove_indents
 from protochain.structure.formats.records import cif_header, pdb_header
@@ -127,13 +121,13 @@ def _normalise(
     """Number atoms, name ions, join parts of residues, and separate chains, caps and molecule copies."""
     number_atoms(structure)
     name_ions(structure)
-    join_residues(structure)
-    separate_caps(structure)
-    repairs += separate_chains(structure)
+    chain_splitting.join_residues(structure)
+    chain_splitting.separate_caps(structure)
+    repairs += chain_splitting.separate_chains(structure)
     structure.merge_chain_parts()
     _fill_missing(structure)
     check(structure, source)
-    repairs += separate_molecules(structure, source)
+    repairs += chain_splitting.separate_molecules(structure, source)
     return structure, repairs, ends, records
 
 

@@ -163,12 +163,8 @@ def _frames_of(source: str | Path, count: int, n_atoms: int, read: Any, **fields
 def _from_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
-            yield Frame(
-                k,
-                _copy_nm(x[k]),
-                None if boxes is None else _box(boxes[k]),
-                None if times is None else float(times[k]),
-            )
+            box = None if boxes is None else _box(boxes[k])
+            yield Frame(k, _copy_nm(x[k]), box, None if times is None else float(times[k]))
 
     return _frames_of(source, len(x), x.shape[1], read)
 
@@ -326,14 +322,14 @@ _TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, 
 
 def _mdanalysis(path: Path, kind: str) -> Frames:
     """Open DCD or NetCDF with the readers of MDAnalysis."""
-    import MDAnalysis.coordinates
+    from MDAnalysis.coordinates import DCD, TRJ
 
-    make = getattr(getattr(MDAnalysis.coordinates, kind), f"{_CLASSES[kind]}Reader")
+    make = DCD.DCDReader if kind == "DCD" else TRJ.NCDFReader
     with path.open("rb") as raw:
         head = raw.read(8)
     # Check first: for other files the readers write a second warning when they are deleted.
     if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
-        raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
+        raise StructureError(f"{path}: is no {kind} file; give a trajectory")
 
     @contextmanager
     def open_reader() -> Iterator[Any]:
@@ -341,7 +337,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
             warnings.simplefilter("ignore")
             with _reading_errors(path):
                 if kind == "DCD":  # If opening fails, the reader would warn again when it is deleted.
-                    MDAnalysis.coordinates.DCD.DCDFile(str(path)).close()
+                    DCD.DCDFile(str(path)).close()
                 file = make(str(path))
         try:
             yield file
@@ -359,9 +355,8 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
             warnings.simplefilter("ignore")
             for k in chosen:
                 if k == count:
-                    yield Frame(
-                        k, None, error=f"the file ends before it is whole, and should have {total} frames"
-                    )
+                    reason = f"the file ends before it is whole, and should have {total} frames"
+                    yield Frame(k, None, error=reason)
                     continue
                 try:
                     step = file[k]
@@ -373,20 +368,13 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
     return _frames_of(path, count + ends_within, n_atoms, read)
 
 
-_CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
-_FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
-
-
 def _dcd_frame_count(path: Path) -> int:
     """Return the number of frames in a DCD header. A truncated file has fewer."""
     with path.open("rb") as file:
         head = file.read(12)
     order = "little" if head[:4] == b"T\0\0\0" else "big"
     stated = int.from_bytes(head[8:12], order)  # type: ignore[arg-type]  # one of the two
-    return stated if stated < _MAX_FRAMES else 0
-
-
-_MAX_FRAMES = 1 << 31
+    return stated if stated < 1 << 31 else 0
 
 
 @contextmanager
@@ -513,7 +501,7 @@ _READERS: dict[str, Callable[[Path], Frames]] = {
     ".xtc": partial(_xdr, kind=_XTC),
     ".trr": partial(_xdr, kind=_TRR),
     ".dcd": partial(_mdanalysis, kind="DCD"),
-    ".nc": partial(_mdanalysis, kind="TRJ"),
-    ".ncdf": partial(_mdanalysis, kind="TRJ"),
+    ".nc": partial(_mdanalysis, kind="NetCDF (version 3)"),
+    ".ncdf": partial(_mdanalysis, kind="NetCDF (version 3)"),
     ".npz": _npz,
 }

@@ -115,7 +115,7 @@ def cif_rows(
     """Return the categories of a header with the present names, without rows about absent molecules."""
     names = {residue.name: residue for model in out for chain in model for residue in chain}
     renamer = _RowRenamer(out, label, names)
-    categories = _merge(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
+    categories = _merge(ligands, _categories(header))
     result = {}
     for category, entries in categories.items():
         if category not in (SPRINGS, _MODIFIED):
@@ -139,8 +139,7 @@ def _merge(ligands: Mapping[str, Rows], categories: Mapping[str, Rows]) -> dict[
 
 def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
     """Return a header in which the given tables of a component replace other tables of it."""
-    categories = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
-    return _text(_merge(ligand, categories))
+    return _text(_merge(ligand, _categories(header)))
 
 
 def pdb_lines(
@@ -182,10 +181,8 @@ def pdb_lines(
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
     """Return bond orders of components, by component and the two atom names in alphabetic order."""
     order_of = {name: order for order, name in _ORDERS.items()}
-    stated = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
-    rows = _merge(ligands, stated).get("_chem_comp_bond.", [])
     result = {}
-    for row in rows:
+    for row in _merge(ligands, _categories(header)).get("_chem_comp_bond.", []):
         first, second = sorted(_plain(row.get(f"atom_id_{k}", "")) for k in (1, 2))
         order = _plain(row.get("value_order", "")).lower()
         result[_plain(row["comp_id"]), first, second] = order_of.get(order[:4], 1)
@@ -353,7 +350,8 @@ def _citation_records(categories: Mapping[str, Rows]) -> Iterator[tuple[str, str
         yield from ((name, text) for name, text in stated.items() if text)
 
 
-def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:
+def _categories(header: str) -> dict[str, Rows]:
+    block = gemmi.cif.read_string(header).sole_block() if header else gemmi.cif.Block("")
     prefixes = (*_CATEGORIES, *_MODEL_CATEGORIES)
     names = [name for name in block.get_mmcif_category_names() if name.lower().startswith(prefixes)]
     return {name: _rows(block, name) for name in names}

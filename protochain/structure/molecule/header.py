@@ -64,10 +64,9 @@ def with_header(header: str) -> gemmi.Structure:
 def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     """Restrict entities and secondary structure to the present residues."""
     residues_of: dict[str, list[gemmi.Residue]] = {}
-    for model in out:
-        for chain in model:
-            for residue in chain:
-                residues_of.setdefault(residue.subchain, []).append(residue)
+    present = [residue for model in out for chain in model for residue in chain]
+    for residue in present:
+        residues_of.setdefault(residue.subchain, []).append(residue)
     entities = []
     for entity in out.entities:
         entity.subchains = [label for label in dict.fromkeys(entity.subchains) if label in residues_of]
@@ -80,10 +79,8 @@ def update_entities(out: gemmi.Structure, *, complete: bool) -> None:
     out.entities = gemmi.EntityList(entities)
     # The list has copies, and the previous entities no longer exist.
     info = {label: (entity.name, entity.entity_type) for entity in out.entities for label in entity.subchains}
-    for model in out:
-        for chain in model:
-            for residue in chain:
-                residue.entity_id, residue.entity_type = info[residue.subchain]
+    for residue in present:
+        residue.entity_id, residue.entity_type = info[residue.subchain]
     _filter_annotations(out)
 
 
@@ -153,10 +150,8 @@ def _filter_annotations(out: gemmi.Structure) -> None:
     """Remove helices, strands and modified residues that are absent, and update residue names."""
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
-        for model in out
-        for chain in model
-        for residue in chain
-    }
+        for model in out for chain in model for residue in chain
+    }  # fmt: skip
 
     def rename_ends(ends: Iterable[gemmi.AtomAddress]) -> bool:
         for end in ends:

@@ -1,11 +1,13 @@
 """A residue in one conformation, during the preparation of a file."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import gemmi
 
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.header import NO_LABEL, Label
+from protochain.structure.molecule.repairs import Loss, Reason
 from protochain.structure.molecule.templates import Template
 
 Address = tuple[str, str, str]
@@ -82,9 +84,19 @@ class Member:
         """Address of one of its atoms in the file."""
         return self.chain_id, self.seqid, name
 
+    def losses(self, atoms: Iterable[gemmi.Atom], why: Reason) -> tuple[Loss, ...]:
+        """Return a loss that lists the heavy ones of some of its atoms, or nothing without any."""
+        lost = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
+        return (Loss(self.chain_id, self.seqid, self.raw_name or self.name, lost, why),) if lost else ()
+
     def atom(self, name: str) -> gemmi.Atom | None:
         """Return the atom of that name, if there is one."""
         return next((atom for atom in self.atoms if atom.name == name), None)
+
+
+def residue_in_file(chain: str, residue: gemmi.Residue) -> residues.Residue:
+    """Return a residue with its names in the file."""
+    return residues.Residue(chain.strip(), str(residue.seqid).strip(), residue.name)
 
 
 def address_of(place: gemmi.AtomAddress) -> Address:

@@ -12,7 +12,7 @@ from protochain.structure.molecule.chirality import centres, chirality, inverted
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import AtomRename, Kind, Reason, Repair
 from protochain.structure.molecule.templates import Template, rename
-from protochain.structure.preparation.structure_draft import Changes, Draft, Part, losses
+from protochain.structure.preparation.structure_draft import Changes, Draft, Part
 from protochain.structure.sidechains.ideal import Places, Site, bridge_gaps, ideal, place_points, unit
 
 _TERMINAL_OXYGENS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
@@ -90,7 +90,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Chan
         )
     inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
     if inner:
-        lost = losses(member, inner, Reason.INNER)
+        lost = member.losses(inner, Reason.INNER)
         yield Repair.of(Kind.INNER_OXT, lost, residue=member.residue)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 

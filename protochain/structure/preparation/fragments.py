@@ -34,7 +34,7 @@ from protochain.structure.preparation.ligand_chemistry import (
 from protochain.structure.preparation.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.preparation.read import convert_to_parent
 from protochain.structure.preparation.sites import stated_hetero_links
-from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Fragment, Part, losses
+from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Fragment, Part
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 
@@ -359,4 +359,4 @@ def _remove(member: Member, names: Collection[str]) -> tuple[Loss, ...]:
     """Remove atoms from a residue, and return the losses."""
     removed = [a for a in member.atoms if a.name in names]
     member.atoms = [a for a in member.atoms if a.name not in names]
-    return losses(member, removed, Reason.BONDED)
+    return member.losses(removed, Reason.BONDED)

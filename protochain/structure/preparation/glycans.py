@@ -15,24 +15,15 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.graph import components
+from protochain.structure.molecule import sugars
 from protochain.structure.molecule.chirality import volume
 from protochain.structure.molecule.links import Link, is_metal
 from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.repairs import Kind, Reason, Repair
 from protochain.structure.molecule.residues import Atom
-from protochain.structure.molecule.sugars import (
-    GLYCOSYLATED,
-    SUGARS,
-    anomeric_carbon,
-    glycam_code,
-    glycam_names,
-    letters_of,
-    other_anomer,
-    sugar_centres,
-)
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
 from protochain.structure.preparation.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, has_usual_angles
-from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part, losses
+from protochain.structure.preparation.structure_draft import Changes, Draft, Evidence, Part
 
 _BEARING_ATOMS = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}  # Protein atoms that bear sugars.
 _REDUCING = "-ROH"  # Suffix of the code of a sugar at a free reducing end.
@@ -45,18 +36,18 @@ _OwnedAtom = tuple[Member, gemmi.Atom]
 
 def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], has_glycam: bool) -> Changes:
     """Make glycans mobile if GLYCAM-06j has their sugars and links. Sugars with these names are skipped."""
-    sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*names}]
-    if not sugars:
+    sugar_parts = [part for part in parts if part.members[0].name in sugars.SUGARS.keys() - {*names}]
+    if not sugar_parts:
         return
-    surroundings = _Surroundings(draft, parts, sugars)
-    row = {id(part.members[0]): k for k, part in enumerate(sugars)}
-    links = [link for part in sugars if (link := surroundings.link(part.members[0])) is not None]
+    surroundings = _Surroundings(draft, parts, sugar_parts)
+    row = {id(part.members[0]): k for k, part in enumerate(sugar_parts)}
+    links = [link for part in sugar_parts if (link := surroundings.link(part.members[0])) is not None]
     for link in links:
         yield from _remove_hydroxyl(link)
     pairs = [(row[id(a)], row[id(b)]) for a, b in ((x.member, x.hetero) for x in links) if id(a) in row]
-    group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
+    group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugar_parts))
     for g in range(group.max() + 1):
-        glycan = [part for part, index in zip(sugars, group, strict=True) if index == g]
+        glycan = [part for part, index in zip(sugar_parts, group, strict=True) if index == g]
         bonds = [link for link in links if any(link.hetero is part.members[0] for part in glycan)]
         if not bonds:
             continue
@@ -79,8 +70,8 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
             (member,) = part.members
             part.glycam_code, part.evidence = codes[id(member)], Evidence.SUGARS
             member.source = _template(member, part.glycam_code)
-            letters = letters_of(part.glycam_code)
-            if letters != SUGARS[member.name]:
+            letters = sugars.letters_of(part.glycam_code)
+            if letters != sugars.SUGARS[member.name]:
                 yield Repair.of(Kind.OTHER_ANOMER, residue=member.residue)
             if inverted := (*_inverted_atoms(member, letters, bonds),):
                 yield Repair.of(Kind.SUGAR_INVERTED, residue=member.residue, atoms=inverted)
@@ -88,26 +79,26 @@ def select_glycans(draft: Draft, parts: Sequence[Part], names: Collection[str], 
 
 def _sugar_code(member: Member, links: Sequence[Link]) -> str:
     """Return the GLYCAM code of a sugar with these bonds. Its atoms determine the anomer."""
-    letters = SUGARS[member.name]
-    if anomeric_carbon(member.name) in _inverted_atoms(member, letters, links):
-        letters = other_anomer(letters)
+    letters = sugars.SUGARS[member.name]
+    if sugars.anomeric_carbon(member.name) in _inverted_atoms(member, letters, links):
+        letters = sugars.other_anomer(letters)
     bearing = [link.atom for link in links if link.member is member]
     is_linked = any(link.hetero is member for link in links)
     hydroxyl = _hydroxyl(member)
     is_free = not is_linked and hydroxyl is not None and hydroxyl not in bearing
-    return glycam_code(letters, (atom.name for atom in bearing)) + (_REDUCING if is_free else "")
+    return sugars.glycam_code(letters, (atom.name for atom in bearing)) + (_REDUCING if is_free else "")
 
 
 def _hydroxyl(member: Member) -> gemmi.Atom | None:
     """Return the oxygen at the anomeric carbon, which only a sugar without an acceptor residue has."""
-    return member.atom("O" + anomeric_carbon(member.name)[1:])
+    return member.atom("O" + sugars.anomeric_carbon(member.name)[1:])
 
 
 def _remove_hydroxyl(link: Link) -> Changes:
     """Remove the oxygen at an anomeric carbon if another bond replaces it."""
     sugar, oxygen = link.hetero, _hydroxyl(link.hetero)
     if oxygen is not None:
-        lost = losses(sugar, [oxygen], Reason.BONDED)
+        lost = sugar.losses([oxygen], Reason.BONDED)
         sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
         removed = (f"{oxygen.name} of {sugar.name}",)
         yield Repair.of(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=removed)
@@ -116,7 +107,7 @@ def _remove_hydroxyl(link: Link) -> Changes:
 def _inverted_atoms(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
     """Yield the chiral atoms of a sugar whose configuration contradicts its letters."""
     acceptor = next((link.atom for link in links if link.hetero is member), _hydroxyl(member))
-    for centre, ends in sugar_centres(letters).items():
+    for centre, ends in sugars.sugar_centres(letters).items():
         # The anomeric hydrogen may have no position yet. The link is on the opposite side.
         atoms = [acceptor if name == "H1" else member.atom(name) for name in (centre, *ends)]
         x = np.array([a.pos.tolist() for a in atoms if a is not None])
@@ -127,8 +118,8 @@ def _inverted_atoms(member: Member, letters: str, links: Sequence[Link]) -> Iter
 class _Surroundings:
     """Atoms that may be bonded to sugars, and the bonds that the file states."""
 
-    def __init__(self, draft: Draft, parts: Sequence[Part], sugars: Sequence[Part]) -> None:
-        self.sugars = {id(part.members[0]) for part in sugars}
+    def __init__(self, draft: Draft, parts: Sequence[Part], sugar_parts: Sequence[Part]) -> None:
+        self.sugars = {id(part.members[0]) for part in sugar_parts}
         protein = [part for part in draft.parts if not part.obstacle]
         self.protein = {id(m) for part in protein for m in part.members}
         self.residues = self.protein | self.sugars
@@ -152,7 +143,7 @@ class _Surroundings:
 
     def link(self, sugar: Member) -> Link | None:
         """Return the bond of a sugar's anomeric carbon: stated, or else found by length and angles."""
-        carbon = sugar.atom(anomeric_carbon(sugar.name))
+        carbon = sugar.atom(sugars.anomeric_carbon(sugar.name))
         if carbon is None:
             return None
         stated = self.stated_partners(sugar, carbon)
@@ -182,7 +173,10 @@ class _Surroundings:
         """Whether an atom can bear a sugar."""
         if id(member) in self.protein:
             return _BEARING_ATOMS.get(member.name) == atom.name
-        return id(member) in self.sugars and glycam_code(SUGARS[member.name], [atom.name]) in _residues()
+        return (
+            id(member) in self.sugars
+            and sugars.glycam_code(sugars.SUGARS[member.name], [atom.name]) in _residues()
+        )
 
     def refusals(
         self, members: Sequence[Member], links: Sequence[Link], codes: Mapping[int, str]
@@ -199,7 +193,7 @@ class _Surroundings:
         for member in members:
             code = codes[id(member)]
             if not any(link.hetero is member for link in links) and code[0] != "1" and _REDUCING not in code:
-                yield f"{anomeric_carbon(member.name)} of {member} is bonded to no other residue"
+                yield f"{sugars.anomeric_carbon(member.name)} of {member} is bonded to no other residue"
             if code.removesuffix(_REDUCING) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
@@ -241,7 +235,7 @@ _RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
 @cache
 def parameters(codes: frozenset[str]) -> bytes:
     """Return GLYCAM's file with these residues only. All residues are slow, and replace hydroxyproline."""
-    names = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
+    names = codes | {f"{end}{name}" for end in ("", "N", "C") for name in sugars.GLYCOSYLATED.values()}
     text = _RESIDUE.sub(lambda match: match[1] if match[2] in names else "", GLYCAM.read_text())
     free = "".join(_residue_text(code) for code in sorted(codes) if _REDUCING in code)
     return text.replace("</Residues>", f"{free}</Residues>", 1).encode()
@@ -265,10 +259,10 @@ def _template(member: Member, code: str) -> Template:
     node = ElementTree.fromstring(_residue_text(code))
     charges = {str(a.get("name")): float(a.get("charge", 0.0)) for a in node.iterfind("Atom")}
     ends = [(str(bond.get("atomName1")), str(bond.get("atomName2"))) for bond in node.iterfind("Bond")]
-    pdb_name = {glycam: name for name, glycam in glycam_names(member.name).items()}
+    pdb_name = {glycam: name for name, glycam in sugars.glycam_names(member.name).items()}
     pdb_name = {name: pdb_name.get(name, name) for name in charges}
     if _REDUCING in code:
-        pdb_name["O1"] = "O" + anomeric_carbon(member.name)[1:]
+        pdb_name["O1"] = "O" + sugars.anomeric_carbon(member.name)[1:]
     for parent in (name for name in charges if name[0] != "H"):
         hydrogens = [end for bond in ends if parent in bond for end in bond if end[0] == "H"]
         stem = "H" + pdb_name[parent].removeprefix("C")

@@ -31,7 +31,6 @@ from protochain.structure.preparation.structure_draft import (
     HeteroResidue,
     Omission,
     Part,
-    losses,
 )
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
@@ -98,7 +97,7 @@ def choose_hetero(draft: Draft) -> Changes:
         if not reason and "near" in keep and candidate.kind != "water":
             reason = Reason.FAR
         if reason:
-            lost += losses(candidate.member, candidate.member.atoms, reason)
+            lost += candidate.member.losses(candidate.member.atoms, reason)
         omitted[("waters" if candidate.kind == "water" else candidate.raw_name, reason)] += 1
     for (kind, _), count in omitted.items():
         yield Omission(kind, count)
@@ -302,7 +301,7 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
                 elif not (is_ion or first.name in residues.NUCLEOTIDES):
                     part.evidence = Evidence.SMALL
         if fits and len(all_atoms) > len(first.atoms):
-            lost = losses(first, [atom for atom in all_atoms if atom not in first.atoms], Reason.PHOSPHATE)
+            lost = first.losses([atom for atom in all_atoms if atom not in first.atoms], Reason.PHOSPHATE)
             yield Repair.of(Kind.PHOSPHATE, lost, residue=first.residue)
     return pieces
 
@@ -315,7 +314,7 @@ def _trim(part: Part) -> Changes:
         and all(atom.name in (*_PHOSPHATE, "O5'") for atom in part.members[-1].atoms)
     ):
         last = part.members.pop()
-        lost = losses(last, last.atoms, Reason.BACKBONE)
+        lost = last.losses(last.atoms, Reason.BACKBONE)
         yield Repair.of(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 

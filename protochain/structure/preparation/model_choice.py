@@ -15,8 +15,9 @@ from protochain.core.graph import components
 from protochain.structure.formats.chain_splitting import chain_names, refuse_copies
 from protochain.structure.formats.files import in_file_order, number_atoms
 from protochain.structure.molecule.header import read_header
+from protochain.structure.molecule.member import residue_in_file
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT, Atom, Residue
+from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT, Atom
 from protochain.structure.molecule.templates import Template, standard_name, template_name, templates
 from protochain.structure.preparation.structure_draft import Changes, Draft, Omission
 
@@ -141,11 +142,6 @@ def choose_altlocs(draft: Draft) -> Changes:
         residue, retained = (residue_in_file(places[p][0], places[p][1][0]) for p in (k, discarded[k]))
         if not group[0].is_water():
             yield Repair.of(Kind.EXCLUDED, residue=residue, other=retained, occupancy=group[0][0].occ)
-
-
-def residue_in_file(chain: str, residue: gemmi.Residue) -> Residue:
-    """Return a residue with its names in the file."""
-    return Residue(chain, str(residue.seqid).strip(), residue.name)
 
 
 def refuse_absent(source: str, numbers: Sequence[int], requested: Sequence[int]) -> None:
@@ -280,8 +276,7 @@ def remove_pseudo_atoms(draft: Draft) -> Changes:
                 _name_water(residue)
                 sites, waters = sites + len(places), waters + 1
             elif places:
-                place = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
-                yield Repair.of(Kind.VIRTUAL, residue=place, atoms=names)
+                yield Repair.of(Kind.VIRTUAL, residue=residue_in_file(chain.name, residue), atoms=names)
     if sites:
         yield Repair.of(Kind.SITES, count=sites, waters=waters)
 
@@ -361,15 +356,13 @@ def _correct_elements(model: gemmi.Model) -> list[Atom]:
     standard = {name: t for name, t in templates().items() if name in {*STANDARD, *STATE_PARENT}}
     corrected = []
     for place in model.all():
-        chain, residue, atom = place.chain, place.residue, place.atom
+        residue, atom = place.residue, place.atom
         if (template := standard.get(residue.name)) is None:
             continue
         element = template.element.get(template.synonyms.get(atom.name, atom.name), atom.element.name)
         if element != atom.element.name:
             atom.element = gemmi.Element(element)
-            corrected.append(
-                Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))
-            )
+            corrected.append(Atom(atom.name, residue_in_file(place.chain.name, residue)))
     return corrected
 
 

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, group_members
+from protochain.structure.molecule.member import residue_in_file
 from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.molecule.residues import Residue
 from protochain.structure.preparation.structure_draft import Changes, Draft
@@ -210,4 +211,4 @@ def make_whole(draft: Draft) -> Changes:
 
 def _residue(molecules: _Molecules, k: int) -> Residue:
     chain, residue = molecules.residues[k]
-    return Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
+    return residue_in_file(chain.name, residue)

@@ -21,7 +21,7 @@ from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.formats.files import STANDARD_INPUT, parse, places_in_file, split_name
-from protochain.structure.formats.records import SPRINGS, springs
+from protochain.structure.formats.records import springs
 from protochain.structure.molecule.hydrogens import place_hydrogens
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Member
@@ -215,7 +215,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     source = "standard input" if path == STANDARD_INPUT else str(path)
     draft = Draft(name, source, reading=reading or Reading(), file=structure, is_ended=is_ended)
     draft.repairs, draft.header = overlooked, records
-    draft.springs = springs(records) if SPRINGS in records else {}
+    draft.springs = springs(records)
     return run(draft, READING)
 
 

@@ -15,30 +15,15 @@ from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.ligands.tables import CATEGORY, of_header
 from protochain.structure.formats.chain_splitting import refuse_crowds
 from protochain.structure.formats.files import parse, places_in_file
-from protochain.structure.molecule import residues
+from protochain.structure.molecule import residues, templates
 from protochain.structure.molecule.chirality import WELL_FORMED, chirality
-from protochain.structure.molecule.member import Address, Member, Unknown, address_of
+from protochain.structure.molecule.member import Address, Member, Unknown, address_of, residue_in_file
 from protochain.structure.molecule.repairs import Kind, Reason, Repair
-from protochain.structure.molecule.templates import (
-    archive_parent,
-    name_by_atoms,
-    other_names,
-    rename,
-    standard_name,
-    template_name,
-)
 from protochain.structure.preparation.complete import complete_backbone
 from protochain.structure.preparation.hetero_molecules import rename_water, report_unresolved
 from protochain.structure.preparation.ligand_chemistry import with_pose
-from protochain.structure.preparation.model_choice import Conformation, pick_altloc, residue_in_file
-from protochain.structure.preparation.structure_draft import (
-    Changes,
-    Draft,
-    HeteroResidue,
-    Omission,
-    Part,
-    losses,
-)
+from protochain.structure.preparation.model_choice import Conformation, pick_altloc
+from protochain.structure.preparation.structure_draft import Changes, Draft, HeteroResidue, Omission, Part
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -94,11 +79,11 @@ def split_chains(draft: Draft) -> Changes:
         run: list[Member] = []
         for group, letter in places:
             conformer = pick_altloc(group, letter)
-            naming = name_by_atoms(
+            naming = templates.name_by_atoms(
                 conformer.residue.name.strip().upper(), [*conformer.residue], draft.templates, components
             )
             notes = _report_altlocs(chain, conformer)
-            if naming[0] in {*residues.CAPS, *residues.STANDARD} or archive_parent(naming[0]):
+            if naming[0] in {*residues.CAPS, *residues.STANDARD} or templates.archive_parent(naming[0]):
                 yield from notes
                 if conformer.unused_altlocs:
                     yield Omission("alternate locations", len(conformer.unused_altlocs))
@@ -145,7 +130,7 @@ def _read_residue(
         names = tuple(atom.name for atom in misplaced)
         yield Repair.of(Kind.NO_PLACE, residue=residue_in_file(chain, residue), atoms=names)
     if name in residues.NUCLEOTIDES:
-        rename(atoms, draft.templates[name])
+        templates.rename(atoms, draft.templates[name])
     has_backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
     for atom in atoms if has_backbone else ():
         # Without element columns gemmi has no element for 1HB of a modified residue.
@@ -155,20 +140,20 @@ def _read_residue(
         is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
         label=(residue.subchain, residue.label_seq), raw_name=original,
     )  # fmt: skip
-    by_atoms = is_standard and standard_name(original)[0] != name
+    by_atoms = is_standard and templates.standard_name(original)[0] != name
     member.is_d = member.is_d or (by_atoms and chirality(member) < 0)
     if state or by_atoms or (is_standard and original[-3:] in residues.LINKED):
         kind = Kind.STATE_NAMED if state else Kind.RENAMED
         yield Repair.of(kind, residue=residue_in_file(chain, residue), name=name, state=state)
     if name in residues.CAPS:
-        rename(member.atoms, draft.templates[template_name(name)])
+        templates.rename(member.atoms, draft.templates[templates.template_name(name)])
     if is_standard or name in residues.CAPS or not has_backbone:
         return member, is_standard or name in residues.CAPS
     # DGN: D-glutamine in the archive, a nucleoside in Amber's files. HIP with a phosphate is not Amber's.
     template = draft.templates.get(name) if name not in residues.STATE_PARENT else None
     if not (template and {*residues.BACKBONE} <= template.element.keys()):
         # A residue without a parent may be a ligand, if it is alone.
-        member.source = Unknown(archive_parent(name))
+        member.source = Unknown(templates.archive_parent(name))
         draft.orphans |= set() if member.parent else {id(member)}
     return member, True
 
@@ -198,7 +183,7 @@ def _complete_backbones(
                 "rebuild the backbone or remove the residue"
             )
         if missing and not names:
-            lost = losses(member, member.atoms, Reason.BACKBONE)
+            lost = member.losses(member.atoms, Reason.BACKBONE)
             yield Repair.of(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])
             yield Omission("incomplete residues", 1)
             continue
@@ -276,7 +261,7 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
             # A cap with stated bonds, but not at the end of a chain, is a hetero molecule.
             draft.hetero_residues.append(HeteroResidue(member, member.name))
         else:
-            lost = losses(member, member.atoms, Reason.CAP)
+            lost = member.losses(member.atoms, Reason.CAP)
             yield Repair.of(Kind.CAP, lost, residue=member.residue)
             yield Omission(member.name, 1)
     if len(members) == 1:
@@ -322,9 +307,13 @@ def full_state(name: str) -> str:
 
 def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
-    residue, parent, original = member.residue, member.parent or archive_parent(member.name), member.name
+    residue, parent, original = (
+        member.residue,
+        member.parent or templates.archive_parent(member.name),
+        member.name,
+    )
     usual = draft.templates[full_state(parent)]
-    expected = {*usual.element, *other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
+    expected = {*usual.element, *templates.other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
     for name in set(usual.heavy) - {atom.name for atom in member.atoms}:
         # Selenium, or a sulphur of another name, becomes the parent's sulphur.
         chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
@@ -336,7 +325,7 @@ def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     ]
     member.name, member.state, member.source = parent, "", None
     removed = tuple(a.name for a in extra)
-    lost = losses(member, extra, reason)
+    lost = member.losses(extra, reason)
     if gemmi.find_tabulated_residue(original).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
         # The table does not contain its configuration.
         member.is_d = chirality(member, least=WELL_FORMED) < 0

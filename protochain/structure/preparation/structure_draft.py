@@ -1,7 +1,7 @@
 """Data model of a preparation: options, and the molecules of a file while passes complete them."""
 
 from collections import Counter
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
@@ -17,7 +17,7 @@ from protochain.ligands.protonation import Charged
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.links import Link
 from protochain.structure.molecule.member import Address, Member
-from protochain.structure.molecule.repairs import Loss, Reason, Repair
+from protochain.structure.molecule.repairs import Repair
 from protochain.structure.molecule.templates import (
     HAS_GLYCAM,
     HAS_SAGE,
@@ -300,9 +300,3 @@ class Draft:
             if len(atoms) < 3:
                 counts.setdefault(atoms[-1][:2], set()).add(len(atoms))
         return counts
-
-
-def losses(member: Member, atoms: Iterable[gemmi.Atom], cause: Reason) -> tuple[Loss, ...]:
-    """Return a loss that lists the heavy ones of some atoms of a residue, or nothing without any."""
-    lost = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
-    return (Loss(member.chain_id, member.seqid, member.raw_name or member.name, lost, cause),) if lost else ()
