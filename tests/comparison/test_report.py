@@ -217,9 +217,18 @@ def inputs(tmp_path_factory):
 
 LONG = "compare", "ligand", "predicted"
 """Pages that other tests open, or that take minutes."""
+QUICK = "energy", "score", "modes", "batch"
+"""Pages of each kind of layout that the fast tests look at."""
 
 
-@pytest.mark.parametrize("name", [name for name in looks.PAGES if name not in LONG])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in looks.PAGES
+        if name not in LONG
+    ],
+)
 def test_a_page_is_sound_at_both_widths_light_and_dark(browser, name, inputs, tmp_path, monkeypatch):
     """Of the page, by AUDIT; of its figures, no text over an edge or another, and units."""
     from fixtures.command_line import run

@@ -24,12 +24,7 @@ LANGUAGES = {"python", "sh"}
 COMMAND = re.compile(r"^(?:protochain|pip|python3?|pytest|find|export|dask|for|import|from) ", re.MULTILINE)
 SYNOPSIS = ROOT / "analysis" / "docs" / "commands.md"
 """Has its own tests, in test_docs.py."""
-QUICK = {
-    "README.md-python",
-    "README.md-sh",
-    "analysis/docs/python.md-python",
-    "analysis/docs/ten-minutes.md-python",
-}
+QUICK = {"README.md-python", "analysis/docs/ten-minutes.md-python"}
 """Scripts that the fast tests run: what readers type first."""
 
 

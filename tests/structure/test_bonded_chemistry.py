@@ -1,5 +1,7 @@
 """Every kind of bonded molecule in the files written: read again, the same bonds and the same energy."""
 
+import functools
+
 import gemmi
 import numpy as np
 import pytest
@@ -95,12 +97,25 @@ KINDS = {
 }
 """Structures with bonds that force fields of proteins do not have, and what else a file has to state."""
 MORE = {
+    "given ligand", "O-glycan", "heme and histidine",
     "given ligand, double bond, chain", "given ligand, acceptor", "given ligand, leaving group",
     "ligand at tyrosine", "disulfide of a ligand", "modified first residue", "methylated backbone",
     "C-glycan", "ring of D-amino acids", "isopeptide", "thioether ring", "hydrocarbon staple",
     "phosphorothioate", "strand of modified nucleotides", "cluster in place", "ion held by ATP",
 }  # fmt: skip
 ALL = [pytest.param(kind, marks=pytest.mark.slow if kind in MORE else ()) for kind in KINDS]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A structure of each kind, and its energy where it is, made once for all tests of the kind."""
+
+    @functools.cache
+    def make(kind):
+        structure = shaken(KINDS[kind](tmp_path_factory.mktemp("kind")))
+        return structure, pc.energy(structure)(structure.positions)[0]
+
+    return make
 
 
 def places(structure):
@@ -120,7 +135,7 @@ def pairs(bonds):
     return {frozenset(pair) for pair in np.asarray(bonds).tolist()}
 
 
-def assert_same_system(before, after):
+def assert_same_system(before, expected, after):
     """Assert the same atoms and bonds, and the same energy at the same positions, which PDB rounds."""
     here, there = places(before), places(after)
     assert here.keys() == there.keys()
@@ -128,36 +143,35 @@ def assert_same_system(before, after):
     assert pairs(at[after.bonds]) == pairs(before.bonds)
     for name in ("obstacle", "mobile", "kept", "formal_charge", "atom_element"):
         assert np.array_equal(getattr(after, name), getattr(before, name)[at]), name
-    expected = pc.energy(before)(before.positions)[0]
     assert pc.energy(after)(before.positions[at])[0] == pytest.approx(expected, abs=SAME_SYSTEM_KJ_MOL, rel=0)
 
 
 @pytest.mark.parametrize("suffix", [".cif", ".pdb"])
 @pytest.mark.parametrize("kind", ALL)
-def test_every_kind_read_again_is_the_same_system(kind, suffix, tmp_path):
-    before = shaken(KINDS[kind](tmp_path))
+def test_every_kind_read_again_is_the_same_system(kind, suffix, made, tmp_path):
+    before, expected = made(kind)
     path = tmp_path / f"out{suffix}"
     pc.save(before, path)
-    assert_same_system(before, pc.load(path, keep="all"))
+    assert_same_system(before, expected, pc.load(path, keep="all"))
 
 
-@pytest.mark.parametrize("suffixes", [(".cif", ".pdb"), (".pdb", ".cif", ".pdb")])
 @pytest.mark.parametrize(
     "kind",
     ["given ligand, double bond", "given amino acid", "ligand of the dictionary", "ligand with a phosphate"],
 )
-def test_from_format_to_format_it_stays_the_same_system(kind, suffixes, tmp_path):
-    before = after = shaken(KINDS[kind](tmp_path))
-    for n, suffix in enumerate(suffixes):
+def test_from_format_to_format_it_stays_the_same_system(kind, made, tmp_path):
+    before, expected = made(kind)
+    after = before
+    for n, suffix in enumerate((".pdb", ".cif", ".pdb")):
         pc.save(after, tmp_path / f"{n}{suffix}")
         after = pc.load(tmp_path / f"{n}{suffix}", keep="all")
-    assert_same_system(before, after)
+    assert_same_system(before, expected, after)
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_openmm_finds_every_bond_in_mmcif_and_gemmi_in_pdb(kind, tmp_path):
+def test_openmm_finds_every_bond_in_mmcif_and_gemmi_in_pdb(kind, made, tmp_path):
     """Springs of metals are no bonds of OpenMM, and molecules that stay in place have none."""
-    s = KINDS[kind](tmp_path)
+    s, _ = made(kind)
     pc.save(s, tmp_path / "out.cif")
     topology = app.PDBxFile(str(tmp_path / "out.cif")).topology
     assert [atom.element.symbol for atom in topology.atoms()] == s.atom_element.tolist()

@@ -205,7 +205,10 @@ def test_a_strand_stays_with_the_one_that_its_bases_are_paired_with(tmp_path):
     assert [(apart.residue_chain == chain).sum() for chain in "PABZ"] == [10, 12, 0, 0]
 
 
-@pytest.mark.parametrize(("name", "solvent"), [("1ajj_ldlr.pdb", "obc2"), ("1grm_gramicidin.pdb", "gbn2")])
+@pytest.mark.parametrize(
+    ("name", "solvent"),
+    [("1ajj_ldlr.pdb", "obc2"), pytest.param("1grm_gramicidin.pdb", "gbn2", marks=pytest.mark.slow)],
+)
 def test_both_engines_agree_on_molecules_without_parameters(name, solvent):
     s = pc.load(shared(name))
     e = pc.energy(s, solvent=solvent, engine="native")

@@ -147,7 +147,9 @@ def test_capped_ends_have_no_charge_and_their_energy_is_that_of_openmm(tmp_path)
     assert value == pytest.approx(energy_of_openmm(s), rel=READ_AGAIN)
 
 
-@pytest.mark.parametrize("name", ["1bhl_gap_cas.pdb", "6lfo_gap_model.pdb"])
+@pytest.mark.parametrize(
+    "name", ["1bhl_gap_cas.pdb", pytest.param("6lfo_gap_model.pdb", marks=pytest.mark.slow)]
+)
 def test_breaks_of_crystals_and_models_get_caps_that_survive_a_file(name, tmp_path):
     s = pc.load(shared(name), cap="breaks")
     gaps = kinds(pc.load(shared(name)), Kind.GAP)
