@@ -1,5 +1,6 @@
 """``protochain score``."""
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,7 @@ from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory
-from protochain.cli.lines import Kind, tell, warn, with_detail
+from protochain.cli.lines import Kind, is_verbose, tell, warn, with_detail
 from protochain.cli.rows import Rows, concatenate, conclude, print_rows, refusal_row, table_of
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
@@ -19,6 +20,7 @@ from protochain.core.optional_libraries import library
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
+    from protochain.structure import Structure
     from protochain.validation import Interface
 
 _SHOWN = {
@@ -129,12 +131,14 @@ def score(
     rank = ranking and ranking[0]
     if usable and rank and all(row[rank] is None for row, _ in usable):
         warn([f"no interface has {rank}, so that the order is as read"])
-    warnings: list[str] = []
-    for structure in {id(scores.structure): scores.structure for _, scores in usable}.values():
-        if n := len(overlapping(structure, structure.positions)[0]):
-            problem = f"{plural(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless"
-            warnings.append(f"{structure.name}: {problem}. Relax first, with --relax")
-    warn(warnings)
+    structures = {id(scores.structure): (Path(row["file"]), scores.structure) for row, scores in usable}
+    warnings = [
+        f"{structure.name}: {plural(n, 'pair')} of atoms overlap{'s' * (n == 1)}, energies are meaningless. "
+        "Relax first, with --relax"
+        for _, structure in structures.values()
+        if (n := len(overlapping(structure, structure.positions)[0]))
+    ]
+    _print_changes([*structures.values()], warnings)
     of_residues = [scores.residues.assign(file=row["file"], interface=scores.name) for row, scores in usable]
     if report:
         from protochain.comparison.scored import write_scored
@@ -145,6 +149,25 @@ def score(
         [report] if report else [], not warnings, interface=interface, rank=rank, solvent=setup.solvent_label,
         forcefield=setup.forcefield,
     )  # fmt: skip
+
+
+def _print_changes(structures: Sequence[tuple[Path, "Structure"]], warnings: Sequence[str]) -> None:
+    """Print the changes of one complex. Of several, print the changes that need action."""
+    from protochain.structure.molecule.repairs import needs_action, summarise
+
+    if len(structures) == 1:
+        options.print_changes(*structures[0], warnings=warnings)
+        return
+    if changed := sum(bool(structure.repairs) for _, structure in structures):
+        tell(Kind.READ, f"{changed} of {len(structures)} structures changed; --verbose lists the changes")
+    changes = [
+        f"{name}: {change}"
+        for name, structure in structures
+        for change in summarise(
+            structure.repairs if is_verbose() else filter(needs_action, structure.repairs), options.as_option
+        )
+    ]
+    warn([*changes, *warnings])
 
 
 def _column(name: str, reference: Path | None) -> tuple[str, int]:

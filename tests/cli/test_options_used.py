@@ -102,6 +102,9 @@ OF_SETUP = {
 LATER = {"resume", "curvature", "mirror", "max_outer_iterations", "checkpoint_every"}
 """Options that act on what there is not here: a folder, an end of a run, a chain that is a mirror image."""
 
+WITHOUT_EFFECT = (("force", "minimise models"), ("verbose", "relax poses"), ("verbose", "score frames"))
+"""The output m.1.pdb is no input. A single change is printed with and without ``--verbose``."""
+
 
 def given(path, option):
     if "FRAMES" in (option.metavar or ""):
@@ -287,7 +290,7 @@ def test_no_option_is_ignored(path, here, read, capsys):
             found = outcome(here, capsys, words)
         elif option.name == "timings":  # With --json they are among the rest in any case.
             other, found = (outcome(here, capsys, [*words, *more]) for more in ((), its))
-        elif (option.name, path) == ("force", "minimise models"):  # m.1.pdb is no input.
+        elif (option.name, path) in WITHOUT_EFFECT:
             continue
         elif option.name == "force":  # In the place of its own input, or of a folder of results.
             is_folder = words[0] in ("simulate", "compare", "search", "batch") or path in MANY
