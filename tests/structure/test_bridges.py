@@ -140,7 +140,7 @@ def crosslinked(*members):
     """Ends of the bonds between residues of a chain that are none along it."""
     draft = drafted(*members)
     where = {
-        id(m): fragments.Place(part, i, *part.neighbours(i))
+        id(m): fragments.Place(part, *part.neighbours(i))
         for part in draft.parts for i, m in enumerate(part.members)
     }  # fmt: skip
     return [(link.atom.name, link.hetero_atom.name) for link in fragments._amides(draft, where)]

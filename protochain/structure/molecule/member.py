@@ -71,6 +71,11 @@ class Member:
         return self.name in residues.CAPS
 
     @property
+    def bonded_names(self) -> set[str]:
+        """Names of its atoms with bonds to metals and other molecules."""
+        return {atom.name for atom in (*self.links, *self.metals)}
+
+    @property
     def heavy(self) -> list[gemmi.Atom]:
         """Its atoms without hydrogens."""
         return [atom for atom in self.atoms if not atom.is_hydrogen()]

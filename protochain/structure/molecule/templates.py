@@ -15,7 +15,7 @@ from openmm import app
 
 from protochain.core.errors import StructureError
 from protochain.ligands.dictionary import heavy_atoms
-from protochain.structure.molecule.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
+from protochain.structure.molecule.residues import CAPS, LETTERS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
 
 _DATA = Path(app.__file__).parent / "data"
 PHOSPHATES = {
@@ -44,6 +44,11 @@ CONVERT = (
 PHOSPHATE_END = "5'-P-"
 """Prefix of the first nucleotide of a strand, with its phosphate."""
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
+_WATERS = ("SPCE", "TP3M", "TIP5", "OPC")  # Names of water in other programs, missing from OpenMM's table.
+_KINDS = ("DNA-", "RNA-")  # Prefixes of atom types in OpenMM's files.
+_EXTRA_POINT = "EP"  # Class of virtual sites, without a prefix.
+_AT_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
+"""Heavy atoms that depend on the place of a residue in a chain or at its end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +59,8 @@ class Template:
     element: Mapping[str, str]  # Element of each atom, by PDB name.
     charge: Mapping[str, float]  # e.
     bonds: tuple[tuple[str, str], ...]  # Bonds within the residue.
-    synonyms: Mapping[str, str]  # PDB name of every other name of an atom.
+    # PDB name of every other name of an atom.
+    synonyms: Mapping[str, str] = field(default_factory=dict)
     # Atom type of each atom in the force field, by PDB name.
     type: Mapping[str, str] = field(default_factory=dict)
     is_users: bool = False  # Whether it is from a file of the user.
@@ -192,10 +198,6 @@ def strand_junctions(*files: str) -> bytes:
     return ElementTree.tostring(root)
 
 
-_KINDS = ("DNA-", "RNA-")  # Prefixes of atom types in OpenMM's files.
-_EXTRA_POINT = "EP"  # Class of virtual sites, without a prefix.
-
-
 def _read(files: Sequence[Path]) -> dict[str, Template]:
     roots = {}
     for file in files:
@@ -220,7 +222,9 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
     atoms = [atom for atom in node.iterfind("Atom") if elements.get(atom.get("type"), "")]
     order = [atom.get("name", "") for atom in atoms]
     primary, alternatives = _names(standard_name(name)[0]) if _is_listed(name, order) else ({}, {})
-    names = {raw: _pdb_name(raw, primary) for raw in order}
+    names = {raw: primary.get(raw, raw) for raw in order}
+    if names.get("H1") == "H":
+        names["H1"] = "H1"  # The first hydrogen of a charged N terminus.
     synonyms: dict[str, str] = {}
     for raw in order:
         for synonym in (raw, primary.get(raw, raw), *alternatives.get(primary.get(raw, raw), ())):
@@ -248,25 +252,16 @@ def _is_listed(name: str, atoms: Sequence[str]) -> bool:
     return is_terminal or standard_name(name)[0] in _alternatives() or {"N", "CA"} <= {*atoms}
 
 
-def _pdb_name(raw: str, primary: Mapping[str, str]) -> str:
-    """PDB name of an atom. The first hydrogen of a charged N terminus is H1."""
-    return raw if raw == "H1" and primary.get(raw) == "H" else primary.get(raw, raw)
-
-
 @cache
 def _alternatives() -> dict[str, tuple[str, dict[str, list[str]]]]:
     """Kind of each residue in OpenMM's table of names, and the alternative names of its atoms."""
     root = ElementTree.parse(_DATA / "pdbNames.xml").getroot()
-    return {
-        node.get("name", ""): (
-            node.get("type", ""),
-            {
-                atom.get("name", ""): [value for key, value in atom.items() if key != "name"]
-                for atom in node.iterfind("Atom")
-            },
-        )
-        for node in root.iterfind("Residue")
-    }
+    table = {}
+    for node in root.iterfind("Residue"):
+        atoms = {atom.get("name", ""): atom for atom in node.iterfind("Atom")}
+        names = {name: [a for key, a in atom.items() if key != "name"] for name, atom in atoms.items()}
+        table[node.get("name", "")] = node.get("type", ""), names
+    return table
 
 
 @cache
@@ -279,9 +274,6 @@ def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
     if residue == "ILE":
         aliases.setdefault("CD1", []).append("CD")
     return {a: name for name, row in aliases.items() for a in row}, aliases
-
-
-_WATERS = ("SPCE", "TP3M", "TIP5", "OPC")  # Names of water in other programs, missing from OpenMM's table.
 
 
 @cache
@@ -364,10 +356,6 @@ def _from_atoms(code: str, heavy: set[str]) -> str:
     return ""
 
 
-_AT_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
-"""Heavy atoms that depend on the place of a residue in a chain or at its end."""
-
-
 def archive_parent(name: str) -> str:
     """Return the standard parent of an amino acid of the PDB archive, or an empty string."""
     if name in _PARENTS:
@@ -395,9 +383,7 @@ _PARENTS = {
     for name in names.split()
 }  # fmt: skip
 """Parents from PDBFixer 1.12 (see NOTICE). The archive lacks the parents of most of these names."""
-_PARENT_OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
-    "U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"
-}  # fmt: skip
+_PARENT_OF_LETTER = LETTERS | {"U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"}
 """Selenocysteine, pyrrolysine, B and Z become the standard residues like them."""
 
 

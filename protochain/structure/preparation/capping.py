@@ -34,15 +34,26 @@ _H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _DOUBLE_BOND = 0.03
 """Angstrom. A possible double bond is double if it is shorter than the covalent radii by more than this. C=C
 is shorter by 0.12, aromatic bonds by 0.06. Single bonds are longer by 0.05."""
+_STRAND_BEFORE = {"O3'-": _O, "C3'-": _C}, {("O3'-", "C3'-"): 1}
+_STRAND_AFTER = (
+    {"P+": _P, "OP1+": _O, "OP2+": _O, "O5'+": _O, "C5'+": _C},
+    {("P+", "OP1+"): 2, ("P+", "OP2+"): 1, ("P+", "O5'+"): 1, ("O5'+", "C5'+"): 1},
+)
+"""Atoms and bonds of the caps of a nucleotide."""
+_HYDROGENS = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3")), "O5'": (("HO5'",), ())}
+"""Names of backbone hydrogens, for one hydrogen and for several."""
 
 
 class Place(NamedTuple):
-    """Location of a residue: molecule, index, and the residues bonded to its N and C."""
+    """Location of a residue: molecule, and the residues bonded to its N and C."""
 
     part: Part
-    i: int
     before: Member | None
     after: Member | None
+
+
+Places = Mapping[int, Place]
+"""Locations by ``id`` of the residue."""
 
 
 class FragmentBuilder:
@@ -53,7 +64,7 @@ class FragmentBuilder:
         chemist: LigandChemistry,
         members: Sequence[Member],
         links: Sequence[Link],
-        places: Mapping[int, Place],
+        places: Places,
         special: Collection[int],
     ) -> None:
         self.chemist, self.members, self.links, self.places = chemist, members, links, places
@@ -130,7 +141,7 @@ class FragmentBuilder:
 
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Return the residue and atom that a cap atom represents, if any."""
-        part, _, before, after = self.places[id(member)]
+        part, before, after = self.places[id(member)]
         short = name[:-1]
         if part.obstacle:
             return before if name[-1] == "-" else after, short
@@ -141,7 +152,7 @@ class FragmentBuilder:
 
     def _nucleic_core(self, graph: Graph, member: Member) -> dict[str, str]:
         """Return force-field names of atoms of a nucleotide, or of a modified nucleotide's backbone."""
-        tag, (part, _, before, after) = self.tag[id(member)], self.places[id(member)]
+        tag, (part, before, after) = self.tag[id(member)], self.places[id(member)]
         is_standard = member.name in NUCLEOTIDES
         kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
         bond_ends = [end for x in self.links for end in ((x.member, x.atom), (x.hetero, x.hetero_atom))]
@@ -219,7 +230,7 @@ class FragmentBuilder:
 
     def _bond_and_cap(self, prefix: str, member: Member) -> None:
         """Bond a residue to the next residue of the fragment, and cap bonds to residues outside it."""
-        part, _, before, after = self.places[id(member)]
+        part, before, after = self.places[id(member)]
         end, start = ("O3'", "P") if part.obstacle else ("C", "N")
         c, n, graph = prefix + end, prefix + start, self.graph
         if after is not None and id(after) in self.tag:
@@ -259,14 +270,6 @@ class FragmentBuilder:
         self.graph.bonds[frozenset((a, prefix + next(iter(atoms))))] = 1
         for ends, order in bonds.items():
             self.graph.bonds[frozenset(prefix + end for end in ends)] = order
-
-
-_STRAND_BEFORE = {"O3'-": _O, "C3'-": _C}, {("O3'-", "C3'-"): 1}
-_STRAND_AFTER = (
-    {"P+": _P, "OP1+": _O, "OP2+": _O, "O5'+": _O, "C5'+": _C},
-    {("P+", "OP1+"): 2, ("P+", "OP2+"): 1, ("P+", "O5'+"): 1, ("O5'+", "C5'+"): 1},
-)
-"""Atoms and bonds of the caps of a nucleotide."""
 
 
 def _with_stereo(molecule: Molecule, sources: Mapping[str, Molecule]) -> Molecule:
@@ -311,15 +314,9 @@ def _is_core(graph: Graph, prefix: str, name: str) -> bool:
 
 @lru_cache(maxsize=256)
 def _parametrise(
-    atoms: tuple[tuple[str, int, int], ...],
-    bonds: tuple[tuple[str, str, int], ...],
-    source: str,
-    acids: tuple[str, ...],
-    amines: tuple[str, ...],
-    donors: frozenset[str],
-    rule: str,
-    ph: float,
-) -> Ligand:
+    atoms: tuple[tuple[str, int, int], ...], bonds: tuple[tuple[str, str, int], ...], source: str,
+    acids: tuple[str, ...], amines: tuple[str, ...], donors: frozenset[str], rule: str, ph: float,
+) -> Ligand:  # fmt: skip
     """Protonate a capped fragment for a pH, replace caps at chain ends by charged ends, and parametrise."""
     graph = Graph()
     graph.atoms = {name: [z, q] for name, z, q in atoms}
@@ -362,10 +359,6 @@ def _assign_names(molecule: Molecule) -> tuple[str, ...]:
             names[j] = next(label for label in labels if label not in used)
             used.add(names[j])
     return tuple(names)
-
-
-_HYDROGENS = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3")), "O5'": (("HO5'",), ())}
-"""Names of backbone hydrogens, for one hydrogen and for several."""
 
 
 def _is_dna(members: Sequence[Member]) -> bool:

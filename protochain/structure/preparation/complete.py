@@ -6,7 +6,6 @@ import gemmi
 import numpy as np
 
 from protochain.core.arrays import Floats, dihedral
-from protochain.core.errors import StructureError
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.chirality import centres, chirality, inverted_atoms
 from protochain.structure.molecule.member import Member, atom
@@ -48,9 +47,7 @@ def add_heavy_atoms(draft: Draft) -> Changes:
             template = part.template(draft.templates, i)
             if template is None:
                 where = "" if part.obstacle else " at the end of a chain"
-                raise StructureError(
-                    f"{draft.source}: {member}: the force field has no parameters for it{where}; remove it"
-                )
+                raise draft.error(f"{member}: the force field has no parameters for it{where}; remove it")
             renamed += [
                 AtomRename(before, residues.Atom(after, member.residue))
                 for before, after in rename(member.atoms, template)
@@ -82,12 +79,9 @@ def add_heavy_atoms(draft: Draft) -> Changes:
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Changes:
     """Remove a terminal oxygen within a chain. Refuse other heavy atoms that the template lacks."""
-    extra = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
+    extra = [a.name for a in member.heavy if a.name not in template.element and a.name != "OXT"]
     if extra:
-        raise StructureError(
-            f"{draft.source}: {member}: atom {extra[0].name} does not belong to {member.name}; "
-            "rename or remove it"
-        )
+        raise draft.error(f"{member}: atom {extra[0]} does not belong to {member.name}; rename or remove it")
     inner = [] if "OXT" in template.element else [a for a in member.atoms if a.name == "OXT"]
     if inner:
         lost = member.losses(inner, Reason.INNER)
@@ -97,16 +91,13 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> Chan
 
 def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
     """Build the last oxygen of a carboxylate or a 5' phosphate, opposite to the other neighbours."""
-    centre, neighbours, distance = _TERMINAL_OXYGENS[name]
-    at, *near = (np.array(a.pos.tolist()) for label in (centre, *neighbours) if (a := member.atom(label)))
+    centre, ends, distance = _TERMINAL_OXYGENS[name]
+    at, *near = (np.array(a.pos.tolist()) for label in (centre, *ends) if (a := member.atom(label)))
     arms = np.array(near) - at
     direction = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(direction)
     if not 1e-3 < length < len(arms) - 1e-3:
-        raise StructureError(
-            f"{draft.source}: {member}: no place for {name} beside {', '.join(neighbours)}; "
-            "correct the coordinates"
-        )
+        raise draft.error(f"{member}: no place for {name} beside {', '.join(ends)}; correct the coordinates")
     return atom(name, "O", (at + distance * direction / length).tolist(), member.atoms[0].b_iso)
 
 
@@ -115,9 +106,7 @@ def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Cha
     for part, i, missing in incomplete:
         member = part.members[i]
         if member.name not in residues.STANDARD:
-            raise StructureError(
-                f"{draft.source}: {member}: atom {missing[0]} missing; build it, or remove the residue"
-            )
+            raise draft.error(f"{member}: atom {missing[0]} missing; build it, or remove the residue")
         _check_backbone(draft, member)
         yield Repair.of(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
     for part, i, missing in incomplete:
@@ -138,7 +127,6 @@ def _rebuild(draft: Draft, incomplete: list[tuple[Part, int, list[str]]]) -> Cha
 
 
 def _pack(draft: Draft, sites: list[Site]) -> Changes:
-    """Build side chains on their best rotamers."""
     # Imported here because complete structures do not need its kernels.
     from protochain.structure.sidechains.packing import pack
 
@@ -170,10 +158,8 @@ def _is_misnamed(part: Part, i: int) -> bool:
 def _phi(part: Part, i: int) -> float:
     """Return the dihedral phi (rad), or zero if an atom is missing."""
     before, _ = part.neighbours(i)
-    atoms = [
-        before.atom("C") if before else None,
-        *(part.members[i].atom(name) for name in residues.BACKBONE),
-    ]
+    carbon = before.atom("C") if before else None
+    atoms = [carbon, *(part.members[i].atom(name) for name in residues.BACKBONE)]
     positions = [np.array(a.pos.tolist()) for a in atoms if a is not None]
     return float(dihedral(*positions)) if len(positions) == 4 else 0.0
 
@@ -183,12 +169,10 @@ def _check_backbone(draft: Draft, member: Member) -> None:
     places = {a.name: np.array(a.pos.tolist()) for a in member.atoms if a.name in residues.BACKBONE}
     for name in residues.BACKBONE:
         if name not in places:  # Conversion to a parent can remove an atom of another element.
-            raise StructureError(
-                f"{draft.source}: {member}: atom {name} missing; build it, or remove the residue"
-            )
+            raise draft.error(f"{member}: atom {name} missing; build it, or remove the residue")
     n, alpha, c = (places[name] for name in residues.BACKBONE)
     if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _MIN_AREA:
-        raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
+        raise draft.error(f"{member}: N, CA and C are collinear; correct the coordinates")
 
 
 def _check_chirality(draft: Draft, site: Site, added: set[str]) -> None:
@@ -196,8 +180,8 @@ def _check_chirality(draft: Draft, site: Site, added: set[str]) -> None:
     member = site.member
     for centre, neighbours in centres(member.name).items():
         if added & {centre, *neighbours} and chirality(member, centre) == -site.sign:
-            raise StructureError(
-                f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
+            raise draft.error(
+                f"{member}: its atoms leave no place for those missing at {centre}; "
                 "correct the coordinates, or remove its side chain"
             )
 
@@ -256,9 +240,8 @@ def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
         return ()
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
     for name, x in zip(missing, positions, strict=True):
-        member.atoms.insert(
-            residues.BACKBONE.index(name), atom(name, name[0], np.round(x, 4).tolist(), b_iso)
-        )
+        new_atom = atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso)
+        member.atoms.insert(residues.BACKBONE.index(name), new_atom)
     return missing
 
 

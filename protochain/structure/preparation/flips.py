@@ -160,10 +160,9 @@ def _is_free_amide(member: Member) -> bool:
     if len(names) != 2 or len(ends) != 4 or member.template is not None:
         return False
     hydrogens = {f"H{names[1][1:]}{k}" for k in (1, 2)}
-    bonded = {a.name for a in (*member.links, *member.metals)}
-    return not (
-        bonded & {*names} or any(a.name in hydrogens for a in member.atoms) or min(places_in_file(ends)) < 0
-    )
+    if member.bonded_names & {*names} or any(a.name in hydrogens for a in member.atoms):
+        return False
+    return min(places_in_file(ends)) >= 0
 
 
 def _states(member: Member) -> list[State]:

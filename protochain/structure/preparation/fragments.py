@@ -4,7 +4,7 @@ A fragment is a group of residues joined by bonds not along a chain, with caps a
 like alanine's, and residues of the force field, have its parameters. SMIRNOFF has all terms with other atoms.
 """
 
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 
 import gemmi
 import numpy as np
@@ -23,7 +23,7 @@ from protochain.structure.molecule.member import Member
 from protochain.structure.molecule.repairs import Kind, Loss, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import HAS_GLYCAM, HAS_SAGE
-from protochain.structure.preparation.capping import FragmentBuilder, Place
+from protochain.structure.preparation.capping import FragmentBuilder, Place, Places
 from protochain.structure.preparation.hetero_molecules import cut_strand
 from protochain.structure.preparation.ligand_chemistry import (
     LigandChemistry,
@@ -50,9 +50,7 @@ _ACYLS = {
 def assign_chemistry(draft: Draft) -> Changes:
     """Parametrise residues without matching templates, and report them."""
     # Find the bonds of residues other than along a chain.
-    places = {
-        id(m): Place(part, i, *part.neighbours(i)) for part in draft.parts for i, m in enumerate(part.members)
-    }
+    places = {id(m): Place(p, *p.neighbours(i)) for p in draft.parts for i, m in enumerate(p.members)}
     cross = yield from _accept_bonds(_stated_cross_links(draft, places))
     cross += _amides(draft, places)
     for link in cross:
@@ -77,7 +75,7 @@ def assign_chemistry(draft: Draft) -> Changes:
             yield from _assign(draft, chemist, fragment, special_ids)
         except (ProtochainError, ValueError) as error:  # ValueError: rings that RDKit cannot kekulize.
             if requested := next((m for m in hetero if chemist.name(m) in chemist.chemistry.moving), None):
-                raise StructureError(f"{draft.source}: {requested}: ", *_parts(error)) from None
+                raise draft.error(f"{requested}: ", *_parts(error)) from None
             for m in hetero:
                 if not (m.is_unknown and places[id(m)].part.mobile):
                     places[id(m)].part.evidence = Evidence.ELEMENTS
@@ -92,7 +90,7 @@ def assign_chemistry(draft: Draft) -> Changes:
             continue
         bonds = [link for link in bonds if link not in links]
     if unknown:
-        raise StructureError(f"{draft.source}: ", *_unknown_message(draft, unknown))
+        raise draft.error(*_unknown_message(draft, unknown))
     if fixed:
         pieces = list[Part]()
         for part in draft.parts:
@@ -108,7 +106,7 @@ def assign_chemistry(draft: Draft) -> Changes:
 
 
 def _find_special(
-    draft: Draft, chemist: LigandChemistry, places: Mapping[int, Place], bonds: Sequence[Link]
+    draft: Draft, chemist: LigandChemistry, places: Places, bonds: Sequence[Link]
 ) -> list[Member]:
     """Return residues without matching templates: modified ones, and ones with bonds not along a chain."""
     ends: dict[int, set[str]] = {}
@@ -128,11 +126,7 @@ def _find_special(
 
 
 def _groups(
-    draft: Draft,
-    chemist: LigandChemistry,
-    places: Mapping[int, Place],
-    special: Sequence[Member],
-    bonds: Sequence[Link],
+    draft: Draft, chemist: LigandChemistry, places: Places, special: Sequence[Member], bonds: Sequence[Link]
 ) -> Iterator[list[Member]]:
     """Yield groups of residues without templates, bonded residues, and neighbours with changed terms."""
     if not special:
@@ -140,7 +134,7 @@ def _groups(
     number = {key: k for k, key in enumerate(places)}
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
-        _, _, before, after = places[id(m)]
+        _, before, after = places[id(m)]
         neighbours: list[Member | None] = []
         if places[id(m)].part.obstacle:
             # In usual phosphodiester bonds no term includes changed atoms of both residues.
@@ -210,7 +204,7 @@ def _graph(chemist: LigandChemistry, member: Member) -> Graph | None:
     return graph
 
 
-def _stated_cross_links(draft: Draft, places: Mapping[int, Place]) -> Iterator[Link]:
+def _stated_cross_links(draft: Draft, places: Places) -> Iterator[Link]:
     """Yield bonds in the file between residues of chains, except along a chain and disulfides."""
     if not draft.stated_bonds:
         return
@@ -228,7 +222,7 @@ def _stated_cross_links(draft: Draft, places: Mapping[int, Place]) -> Iterator[L
             yield link
 
 
-def _amides(draft: Draft, places: Mapping[int, Place]) -> Iterator[Link]:
+def _amides(draft: Draft, places: Places) -> Iterator[Link]:
     """Yield bonds between amines and carboxyls without an oxygen, which the file does not list."""
     chains = [m for m in draft.members if not places[id(m)].part.obstacle]
     open_acids = [m for m in chains if m.name in _ACYLS and not all(map(m.atom, _ACYLS[m.name][1:]))]
@@ -257,8 +251,8 @@ def _refuse_or_tie(draft: Draft, links: Sequence[Link], error: Exception) -> Cha
             yield Repair.of(Kind.BOND_IGNORED, atoms=link.atoms, why=error)
         else:
             a, b = link.atoms
-            raise StructureError(
-                f"{draft.source}: {a.residue} and {b.residue} are joined by an amide bond "
+            raise draft.error(
+                f"{a.residue} and {b.residue} are joined by an amide bond "
                 f"({a.name}-{b.name}), which has no parameters: ", *_parts(error), "; remove that bond",
             ) from None  # fmt: skip
 
@@ -328,11 +322,9 @@ def _assign(draft: Draft, chemist: LigandChemistry, fragment: Fragment, ids: Col
     # A gap between two ends that are bonded to a fragment is not a gap, as in GFP's chromophore.
     ends = {end for link in fragment.bonds for end in link.atoms}
     draft.repairs = [
-        repair
-        for repair in draft.repairs
-        if repair.kind is not Kind.GAP
-        or not {Atom("C", repair.facts["last"]), Atom("N", repair.facts["first"])} <= ends
-    ]
+        r for r in draft.repairs
+        if r.kind is not Kind.GAP or not {Atom("C", r.facts["last"]), Atom("N", r.facts["first"])} <= ends
+    ]  # fmt: skip
     draft.fragments.append(fragment)
 
 

@@ -28,6 +28,7 @@ from protochain.structure.preparation.structure_draft import Changes, Draft, Evi
 _BEARING_ATOMS = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}  # Protein atoms that bear sugars.
 _REDUCING = "-ROH"  # Suffix of the code of a sugar at a free reducing end.
 _REACH = 2.0  # Angstrom: search radius of bonds.
+_RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
 _MAX_DEVIATION = 0.1
 """Angstrom: largest deviation of a bond's length if the hydroxyl that the bond replaces is present."""
 
@@ -173,10 +174,9 @@ class _Surroundings:
         """Whether an atom can bear a sugar."""
         if id(member) in self.protein:
             return _BEARING_ATOMS.get(member.name) == atom.name
-        return (
-            id(member) in self.sugars
-            and sugars.glycam_code(sugars.SUGARS[member.name], [atom.name]) in _residues()
-        )
+        if id(member) not in self.sugars:
+            return False
+        return sugars.glycam_code(sugars.SUGARS[member.name], [atom.name]) in _residues()
 
     def refusals(
         self, members: Sequence[Member], links: Sequence[Link], codes: Mapping[int, str]
@@ -229,9 +229,6 @@ def _residues() -> Mapping[str, str]:
     return {name: text for text, name in _RESIDUE.findall(GLYCAM.read_text())}
 
 
-_RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
-
-
 @cache
 def parameters(codes: frozenset[str]) -> bytes:
     """Return GLYCAM's file with these residues only. All residues are slow, and replace hydroxyproline."""
@@ -268,10 +265,6 @@ def _template(member: Member, code: str) -> Template:
         stem = "H" + pdb_name[parent].removeprefix("C")
         for k, name in enumerate(sorted(hydrogens), 1):
             pdb_name[name] = f"{stem}{k}" if len(hydrogens) > 1 else stem
-    return Template(
-        member.name,
-        {pdb_name[name]: name[0] for name in charges},
-        {pdb_name[name]: charge for name, charge in charges.items()},
-        tuple((pdb_name[a], pdb_name[b]) for a, b in ends),
-        {},
-    )
+    elements = {pdb_name[name]: name[0] for name in charges}
+    charges = {pdb_name[name]: charge for name, charge in charges.items()}
+    return Template(member.name, elements, charges, tuple((pdb_name[a], pdb_name[b]) for a, b in ends))

@@ -66,10 +66,10 @@ def choose_hetero(draft: Draft) -> Changes:
     """Choose the hetero molecules of the structure, and count and report the omitted ones."""
     keep, chemistry, candidates = draft.reading.keep, draft.reading.chemistry, draft.hetero_residues
     check_words(keep)
-    _refuse_unknown_names(draft, candidates, keep, "keep ")
+    _refuse_unknown_names(draft, keep, "keep ")
     # The user may also define amino acids in a chain.
     of_chains = {member.raw_name or member.name for member in draft.members if member.is_unknown}
-    _refuse_unknown_names(draft, candidates, [*{*chemistry.user_sources} - of_chains], "ligand ")
+    _refuse_unknown_names(draft, [*{*chemistry.user_sources} - of_chains], "ligand ")
     # Find strands, and candidates near the protein.
     usable = [candidate for candidate in candidates if not _unusable_reason(candidate.member)]
     strands = {
@@ -116,7 +116,7 @@ def require_chain(draft: Draft) -> tuple[()]:
     """Refuse a file without protein and nucleic acids."""
     # A trace of single atoms is not a strand.
     if not any(not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1) for p in draft.parts):
-        raise StructureError(f"{draft.source}: ", *_no_chain_message(draft.hetero_residues))
+        raise draft.error(*_no_chain_message(draft.hetero_residues))
     return ()
 
 
@@ -153,18 +153,17 @@ def _report_coincident(members: Sequence[Member]) -> Changes:
             yield Repair.of(Kind.COINCIDENT, residue=second, other=first)
 
 
-def _refuse_unknown_names(
-    draft: Draft, candidates: Sequence[HeteroResidue], requested: Sequence[str], kind: str
-) -> None:
+def _refuse_unknown_names(draft: Draft, requested: Sequence[str], kind: str) -> None:
     """Refuse a residue name without any molecule, because it would have no effect."""
+    candidates = draft.hetero_residues
     names = {name for candidate in candidates for name in (candidate.raw_name, candidate.member.name)}
     unknown = next((word for word in requested if word not in KINDS and word not in names), None)
     if unknown is not None:
         count = Counter("" if residue.kind == "water" else residue.raw_name for residue in candidates)
         present = [f"{n} {name}" if name else plural(n, "water") for name, n in count.most_common(_SHOWN)]
         remainder = f" and {plural(len(count) - _SHOWN, 'more kind')}" if len(count) > _SHOWN else ""
-        raise StructureError(
-            f"{draft.source}: {kind}{unknown}: no molecule kept with the protein has this name; those there: "
+        raise draft.error(
+            f"{kind}{unknown}: no molecule kept with the protein has this name; those there: "
             f"{', '.join(present) or 'none'}{remainder}"
         )
 
@@ -172,9 +171,7 @@ def _refuse_unknown_names(
 def _unusable_reason(member: Member) -> Reason | None:
     if member.name in _DUMMY:
         return Reason.DUMMY
-    if not all(atom.element.atomic_number for atom in member.atoms) or all(
-        atom.is_hydrogen() for atom in member.atoms
-    ):
+    if not (member.heavy and all(atom.element.atomic_number for atom in member.atoms)):
         return Reason.ELEMENT
     return Reason.CHARGE if len(member.atoms) == 1 and not has_known_charge(member.atoms[0]) else None
 
@@ -199,13 +196,11 @@ def _near_protein(
     return {id(candidate) for candidate, g in zip(non_water, group, strict=True) if g in touching}
 
 
-def _bonded_pairs(
-    draft: Draft,
-    members: Sequence[Member],
-    ends: Sequence[tuple[int, gemmi.Atom]],
-    owner: Integers,
-    x: Floats,
-) -> Integers:
+_Ends = Sequence[tuple[int, gemmi.Atom]]
+"""Atoms, each with the index of its molecule."""
+
+
+def _bonded_pairs(draft: Draft, members: list[Member], ends: _Ends, owner: Integers, x: Floats) -> Integers:
     """Return pairs (n, 2) of bonded residues, of metals with their donors, and of paired nucleotides."""
     near = KDTree(x).query_pairs(_FARTHEST, output_type="ndarray")
     # Hydrogens are ignored: not all files have them, and hydrogen bonds are shorter than JOIN_CUTOFF.
@@ -228,13 +223,7 @@ def _bonded_pairs(
     return np.vstack([owner[near[is_joined]], _base_pairs(members, ends, owner, x, near[length <= _H_BOND])])
 
 
-def _base_pairs(
-    members: Sequence[Member],
-    ends: Sequence[tuple[int, gemmi.Atom]],
-    owner: Integers,
-    x: Floats,
-    near: Integers,
-) -> Integers:
+def _base_pairs(members: list[Member], ends: _Ends, owner: Integers, x: Floats, near: Integers) -> Integers:
     """Return pairs (n, 2) of nucleotides with two or more hydrogen bonds in the plane of a base."""
     sugar = np.array([member.atom("C1'") is not None for member in members])
     in_base = np.array([sugar[k] and "'" not in a.name and a.name not in _PHOSPHATE for k, a in ends])
@@ -286,8 +275,8 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
             first.atoms = all_atoms
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
-                    raise StructureError(
-                        f"{draft.source}: {member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
+                    raise draft.error(
+                        f"{member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
                 charge_cluster(member.name, member.atoms)
@@ -308,11 +297,8 @@ def _group(draft: Draft, chosen: Sequence[HeteroResidue]) -> Generator[Repair | 
 
 def _trim(part: Part) -> Changes:
     """Remove the last nucleotides of a strand if only their phosphates are resolved."""
-    while (
-        len(part.members) > 1
-        and part.is_strand
-        and all(atom.name in (*_PHOSPHATE, "O5'") for atom in part.members[-1].atoms)
-    ):
+    ends = {*_PHOSPHATE, "O5'"}
+    while len(part.members) > 1 and part.is_strand and {a.name for a in part.members[-1].atoms} <= ends:
         last = part.members.pop()
         lost = last.losses(last.atoms, Reason.BACKBONE)
         yield Repair.of(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")

@@ -100,7 +100,7 @@ class LigandChemistry:
         except ProtochainError as error:
             # Raise errors for chemistry that the user has requested.
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
-                raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
+                raise self.draft.error(f"{member}: ", *error.parts) from None
             yield Repair.of(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             yield from self._assign_dictionary_charges(name, member)
             return
@@ -341,13 +341,9 @@ def template_of(
     """Return the template of a residue from atoms of a molecule, their names there, and added metals."""
     molecule, charge = ligand.molecule, ligand.parameters.charge
     bonds = ([names[i], names[j]] for i, j in molecule.bonds.tolist() if i in names and j in names)
-    return Template(
-        name,
-        {n: gemmi.Element(int(molecule.elements[i])).name for i, n in names.items()}
-        | {a.name: a.element.name for a in metals},
-        {n: float(charge[i]) for i, n in names.items()} | {a.name: float(a.charge) for a in metals},
-        # Sorted by name, so that a written file gives the same result.
-        tuple(sorted((min(bond), max(bond)) for bond in bonds)),
-        {},
-        is_users=True,
-    )
+    elements = {n: gemmi.Element(int(molecule.elements[i])).name for i, n in names.items()}
+    elements |= {a.name: a.element.name for a in metals}
+    charges = {n: float(charge[i]) for i, n in names.items()} | {a.name: float(a.charge) for a in metals}
+    # Sorted by name, so that a written file gives the same result.
+    in_order = tuple(sorted((min(bond), max(bond)) for bond in bonds))
+    return Template(name, elements, charges, in_order, is_users=True)

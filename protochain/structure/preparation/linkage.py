@@ -179,9 +179,8 @@ class _Neighbourhood:
 
 
 def _are_bonded(first: gemmi.Atom, second: gemmi.Atom) -> bool:
-    return (
-        first.pos.dist(second.pos) <= usual_length(first.element.name, second.element.name) + COVALENT_SLACK
-    )
+    longest = usual_length(first.element.name, second.element.name) + COVALENT_SLACK
+    return bool(first.pos.dist(second.pos) <= longest)
 
 
 def _lacks_neighbour(atom: gemmi.Atom, neighbours: Sequence[gemmi.Atom]) -> bool:

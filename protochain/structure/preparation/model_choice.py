@@ -52,7 +52,7 @@ def _transform(draft: Draft, structure: gemmi.Structure, name: str) -> None:
     assembly_names = [assembly.name for assembly in structure.assemblies]
     if name not in assembly_names:
         available = f"it has {', '.join(assembly_names)}" if assembly_names else "it states none"
-        raise StructureError(f"{draft.source}: has no assembly {name}; {available}")
+        raise draft.error(f"has no assembly {name}; {available}")
     structure.transform_to_assembly(name, gemmi.HowToNameCopiedChain.Short)
     structure.merge_chain_parts()
 
@@ -60,9 +60,7 @@ def _transform(draft: Draft, structure: gemmi.Structure, name: str) -> None:
 def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
     """Add the chains of all models to the first one, under free ids."""
     if len(structure) < 2:
-        raise StructureError(
-            f"{draft.source}: has one model: there are none to join; change or omit assembly"
-        )
+        raise draft.error("has one model: there are none to join; change or omit assembly")
     used = {chain.name for chain in structure[0]}
     for k in range(1, len(structure)):
         names: dict[str, str] = {}
@@ -122,7 +120,7 @@ def choose_chains(draft: Draft) -> Changes:
     absent = next((name for name in names if name not in ids), None)
     if absent is not None:
         available = ", ".join(name or "(blank)" for name in dict.fromkeys(ids))
-        raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {available}")
+        raise draft.error(f"has no chain {absent}; its chains are {available}")
     draft.chains = [chain for chain in draft.model if not names or chain.name in names]
     refuse_copies(draft.chains, draft.source)
     if n := len(ids) - len(draft.chains):
@@ -249,9 +247,8 @@ def _check_altloc(draft: Draft) -> None:
     altlocs = {cra.atom.altloc for cra in draft.model.all() if cra.atom.has_altloc()}
     if altloc and altloc not in altlocs:
         available = f"its atoms have {', '.join(sorted(altlocs))}" if altlocs else "no atom of it has one"
-        raise StructureError(
-            f"{draft.source}: has no alternate location {altloc!r}: {available}; change or omit ",
-            Argument("altloc"),
+        raise draft.error(
+            f"has no alternate location {altloc!r}: {available}; change or omit ", Argument("altloc")
         )
 
 
@@ -273,19 +270,15 @@ def remove_pseudo_atoms(draft: Draft) -> Changes:
             for k in reversed(places):
                 del residue[k]
             if of_water:
-                _name_water(residue)
+                # As in the archive, where T4P, a water of four sites, is a ligand.
+                residue.name = "HOH"
+                for atom in residue:
+                    atom.name = "O" if atom.name.lstrip("0123456789").startswith("O") else atom.name
                 sites, waters = sites + len(places), waters + 1
             elif places:
                 yield Repair.of(Kind.VIRTUAL, residue=residue_in_file(chain.name, residue), atoms=names)
     if sites:
         yield Repair.of(Kind.SITES, count=sites, waters=waters)
-
-
-def _name_water(residue: gemmi.Residue) -> None:
-    """Name a water of four or five sites as the archive does: T4P is a ligand there."""
-    residue.name = "HOH"
-    for atom in residue:
-        atom.name = "O" if atom.name.lstrip("0123456789").startswith("O") else atom.name
 
 
 def _pseudo_atoms(residue: gemmi.Residue, template: Template | None) -> list[int]:

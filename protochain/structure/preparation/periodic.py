@@ -57,14 +57,8 @@ class _Molecules:
     def join_within(self) -> None:
         """Move the atoms of each residue together."""
         fractions = self.x @ self.to_fractions
-        bounds = [
-            (
-                np.minimum.reduceat(fractions[:, k], self.starts[:-1]),
-                np.maximum.reduceat(fractions[:, k], self.starts[:-1]),
-            )
-            for k in range(3)
-        ]
-        is_wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)
+        low, high = (extreme.reduceat(fractions, self.starts[:-1]) for extreme in (np.minimum, np.maximum))
+        is_wide = (high - low > 0.5).any(axis=1)
         for residue in np.flatnonzero(is_wide).tolist():
             atoms = np.arange(self.starts[residue], self.starts[residue + 1])
             if len(atoms) <= _MAX_ATOMS:
@@ -160,24 +154,9 @@ class _Molecules:
 
 
 def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> Floats | None:
-    """Find the image of a molecule that touches other molecules.
+    """Return how many of each lattice vector, a row, to add to x (n, 3) so that it touches other molecules.
 
-    Parameters
-    ----------
-    tree
-        Positions of the other molecules.
-    x : array (n, 3)
-        Positions of the molecule, in the unit of the others.
-    lattice : array (3, 3)
-        Lattice vectors as rows.
-    contact
-        Largest distance of atoms that touch.
-
-    Returns
-    -------
-    array (3,), or None
-        How many of each lattice vector to add. Zeros if the molecule touches the others unmoved. None if no
-        image does.
+    Zeros if the molecule touches the others unmoved, or None if no image is within the contact distance.
     """
     if np.min(tree.query(x)[0]) < contact:
         return np.zeros(3)

@@ -18,7 +18,6 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import acidity_or_auto, check_arguments, file_name, force_field_parts
 from protochain.core.checks import bonds as bonds_of
 from protochain.core.checks import path as as_path
-from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.formats.files import STANDARD_INPUT, parse, places_in_file, split_name
 from protochain.structure.formats.records import springs
@@ -79,6 +78,8 @@ COMPLETING: tuple[Pass, ...] = (
 """Passes from molecules to all of their atoms."""
 PASSES = READING + COMPLETING
 """The table of contents of a preparation."""
+_SHORTEST = 0.02  # nm. A fifth of the shortest bond.
+_FIRST = {Kind.LEFT_OUT: 0, Kind.WATERS_LEFT_OUT: 0, Kind.KEPT: 1, Kind.KEPT_BY_ELEMENT: 1}
 
 
 @check_arguments()
@@ -235,9 +236,6 @@ def run(draft: Draft, passes: Sequence[Pass]) -> Draft:
     return draft
 
 
-_FIRST = {Kind.LEFT_OUT: 0, Kind.WATERS_LEFT_OUT: 0, Kind.KEPT: 1, Kind.KEPT_BY_ELEMENT: 1}
-
-
 def prepare(draft: Draft) -> Structure:
     """Complete a draft that was read: heavy atoms, disulfides, hydrogens."""
     if not draft.file_atoms:
@@ -246,9 +244,7 @@ def prepare(draft: Draft) -> Structure:
     run(draft, COMPLETING)
     for member in draft.members:
         if repeated := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
-            raise StructureError(
-                f"{draft.source}: {member}: {repeated[0]} is there under two elements; correct columns 77-78"
-            )
+            raise draft.error(f"{member}: {repeated[0]} is there under two elements; correct columns 77-78")
     # Hydrogens without a position are placed when all bonds are known.
     atoms = [atom for member in draft.members for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
@@ -260,15 +256,11 @@ def prepare(draft: Draft) -> Structure:
     x = place_hydrogens(x, elements, charge, bonds)
     owners = [(member, atom.name) for member in draft.members for atom in member.atoms]
     _refuse_coincident(draft, owners, x, bonds)
-    fixed, mobile = np.repeat(
-        [
-            (part.obstacle and not part.mobile and not sites.moves(draft, member, draft.links), part.mobile)
-            for part in draft.parts
-            for member in part.members
-        ],
-        [len(member.atoms) for member in draft.members],
-        axis=0,
-    ).T
+    roles = [
+        (part.obstacle and not part.mobile and not sites.moves(draft, member, draft.links), part.mobile)
+        for part in draft.parts for member in part.members
+    ]  # fmt: skip
+    fixed, mobile = np.repeat(roles, [len(member.atoms) for member in draft.members], axis=0).T
     # Bonds of hetero molecules, and springs for the bonds without parameters.
     metals = [link for link in draft.metal_links if link.member is not link.hetero]
     links = _distinct(draft, [*draft.links, *draft.other_links, *sites.stated_hetero_links(draft), *metals])
@@ -293,22 +285,13 @@ def prepare(draft: Draft) -> Structure:
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([k < 0 and element != "H" for k, element in zip(place, elements, strict=True)]),
         ligands=tuple(_index_ligand(part, at) for part in draft.parts if part.ligand is not None),
-        # Atoms of caps belong to neighbouring residues.
-        fragments=tuple(
-            BoundLigand(
-                fragment.ligand,
-                np.array([-1 if m is None else at[id(m)].get(n, -1) for m, n in fragment.owners]),
-                core=fragment.core,
-            )
-            for fragment in draft.fragments
-        ),
+        fragments=tuple(BoundLigand(f.ligand, f.atoms(at), core=f.core) for f in draft.fragments),
         glycans={r: part.glycam_code for r, part in enumerate(residue_parts) if part.glycam_code},
         origin=Origin(draft.file_atoms, place, charge) if draft.file_atoms and (place >= 0).any() else None,
     )
 
 
 def _index_ligand(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
-    """Return the ligand of a molecule with its atom indices in the structure."""
     assert part.ligand is not None
     index = at[id(part.members[0])]
     atoms = np.array([index[name] for name in part.ligand.molecule.names])
@@ -316,7 +299,6 @@ def _index_ligand(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
 
 
 def _link_indices(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
-    """Return the pairs of atom indices of links."""
     return [(at[id(x.member)][x.atom.name], at[id(x.hetero)][x.hetero_atom.name]) for x in links]
 
 
@@ -396,9 +378,4 @@ def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats
         return
     first, second = bonds[int(np.argmin(lengths))]
     a, b = owners[first], owners[second]
-    raise StructureError(
-        f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} coincide; correct their coordinates"
-    )
-
-
-_SHORTEST = 0.02  # nm. A fifth of the shortest bond.
+    raise draft.error(f"{a[0]}: atoms {a[1]} and {b[1]} coincide; correct their coordinates")

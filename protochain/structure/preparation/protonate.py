@@ -13,7 +13,6 @@ import gemmi
 import numpy as np
 
 from protochain.core.checks import AUTO
-from protochain.core.errors import StructureError
 from protochain.core.optional_libraries import library
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
@@ -106,7 +105,7 @@ def _template(
 
 def _lone_pair(member: Member) -> str:
     """Return the state of a residue with a bonded lone pair. Empty for the usual state."""
-    bonded = {a.name for a in (*member.metals, *member.links)}
+    bonded = member.bonded_names
     if member.name == "HIS" and bonded & {"ND1", "NE2"}:
         return "HIE" if "ND1" in bonded else "HID"
     if member.name == "CYS" and "SG" in bonded:
@@ -122,9 +121,8 @@ def _state_in_file(member: Member) -> str:
         return member.state
     names = {a.name for a in member.atoms}
     if member.name == "HIS":
-        return {(True, True): "HIP", (True, False): "HID", (False, True): "HIE"}.get(
-            ("HD1" in names, "HE2" in names), ""
-        )
+        state_of = {(True, True): "HIP", (True, False): "HID", (False, True): "HIE"}
+        return state_of.get(("HD1" in names, "HE2" in names), "")
     if member.name == "ASP" and names & {"HD1", "HD2"}:
         return "ASH"
     if member.name == "GLU" and names & {"HE1", "HE2"}:
@@ -161,16 +159,14 @@ def _match_hydrogens(member: Member, template: Template) -> Generator[Repair, No
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     unmatched, expected = list[str](), template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}
-    for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
+    for h in (a for a in member.atoms if a.is_hydrogen()):
         # If atoms overlap, another heavy atom may be nearer than the parent of that name.
-        parents = [
-            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= BONDED
-        ]
-        nearest = min(parents or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
-        if nearest.pos.dist(hydrogen.pos) <= BONDED:
-            bonded[nearest.name].append(hydrogen)
+        parents = [a for a in heavy if a.name == named_for.get(h.name) and a.pos.dist(h.pos) <= BONDED]
+        nearest = min(parents or heavy, key=lambda a: a.pos.dist(h.pos))
+        if nearest.pos.dist(h.pos) <= BONDED:
+            bonded[nearest.name].append(h)
         else:
-            unmatched.append(hydrogen.name)
+            unmatched.append(h.name)
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
@@ -194,12 +190,12 @@ def _compute_pka(draft: Draft) -> Mapping[int, float]:
     run = library("propka.run", "pka")
     members = draft.members
     if len(members) > _PER_CHAIN * len(_CHAINS):
-        raise StructureError(f"{draft.source}: ph auto: {len(members)} residues are too many for PROPKA")
+        raise draft.error(f"ph auto: {len(members)} residues are too many for PROPKA")
     logging.getLogger("propka").setLevel(logging.ERROR)
     try:
         result = run.single("x.pdb", ["-q"], StringIO(_as_pdb(draft, members)), write_pka=False)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise StructureError(f"{draft.source}: PROPKA fails ({error}); give ph a number") from None
+        raise draft.error(f"PROPKA fails ({error}); give ph a number") from None
     groups = [group for group in result.conformations["AVR"].groups if group.residue_type in _GROUPS]
     places = {_chain_and_number(k): id(member) for k, member in enumerate(members)}
     return {places[g.atom.chain_id, g.atom.res_num]: float(g.pka_value) for g in groups}
@@ -218,17 +214,13 @@ def _as_pdb(draft: Draft, members: Sequence[Member]) -> str:
         record = "HETATM" if part.obstacle else "ATOM"
         for member in part.members:
             chain, n = number[id(member)]
-            for a in member.atoms:
-                if not a.is_hydrogen():
-                    place = "".join(f"{coordinate:8.3f}" for coordinate in a.pos.tolist())
-                    lines.append(
-                        f"{record:6}{1:5d} {_aligned_name(a):4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
-                        f"{1.0:6.2f}{0.0:6.2f}          {a.element.name.upper():>2}"
-                    )
+            for a in member.heavy:
+                # Names of elements with one letter begin in the second column.
+                name = a.name[:4] if len(a.element.name) > 1 or len(a.name) > 3 else f" {a.name}"
+                place = "".join(f"{coordinate:8.3f}" for coordinate in a.pos.tolist())
+                lines.append(
+                    f"{record:6}{1:5d} {name:4} {member.name[:3]:>3} {chain}{n:4d}    {place}"
+                    f"{1.0:6.2f}{0.0:6.2f}          {a.element.name.upper():>2}"
+                )
         lines.append("TER")
     return "\n".join([*lines, "END", ""])
-
-
-def _aligned_name(a: gemmi.Atom) -> str:
-    """Return the name of an atom, aligned by its element."""
-    return a.name[:4] if len(a.element.name) > 1 or len(a.name) > 3 else f" {a.name}"

@@ -11,7 +11,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.errors import Argument, OnlyAlphaError, StructureError
+from protochain.core.errors import Argument, OnlyAlphaError
 from protochain.ligands.tables import CATEGORY, of_header
 from protochain.structure.formats.chain_splitting import refuse_crowds
 from protochain.structure.formats.files import parse, places_in_file
@@ -33,8 +33,6 @@ Chain ends are further apart: C and N that are not bonded touch at 3.25."""
 _COINCIDENT, _BONDED, _FAR = 0.01, 2.0, 15.0
 """Angstrom: atoms closer than the first coincide, and bonded atoms are closer than the second. The last is
 twice the extent of an arginine from its centre."""
-SMALLEST_RING = 2
-"""Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
 
 
@@ -102,18 +100,13 @@ def split_chains(draft: Draft) -> Changes:
 
 
 def _report_altlocs(chain: str, conformer: Conformation) -> list[Repair]:
-    """Report the choice among the alternate locations of a residue."""
     if not (conformer.unused_altlocs or conformer.repeated):
         return []
     residue = residue_in_file(chain, conformer.residue)
     if not conformer.unused_altlocs:
         return [Repair.of(Kind.REPEATED, residue=residue, atoms=tuple(conformer.repeated))]
-    return [
-        Repair.of(
-            Kind.ALTERNATES, residue=residue, used=conformer.altloc, occupancy=conformer.occupancy,
-            others=tuple(conformer.unused_altlocs),
-        )
-    ]  # fmt: skip
+    used, occupancy, others = conformer.altloc, conformer.occupancy, tuple(conformer.unused_altlocs)
+    return [Repair.of(Kind.ALTERNATES, residue=residue, used=used, occupancy=occupancy, others=others)]
 
 
 def _read_residue(
@@ -178,9 +171,8 @@ def _complete_backbones(
     for member, names, before in zip(run, built, atom_names, strict=True):
         missing = [] if member.is_cap else [name for name in residues.BACKBONE if name not in before]
         if missing and draft.reading.strict:
-            raise StructureError(
-                f"{draft.source}: {member}: atom {missing[0]} missing; "
-                "rebuild the backbone or remove the residue"
+            raise draft.error(
+                f"{member}: atom {missing[0]} missing; rebuild the backbone or remove the residue"
             )
         if missing and not names:
             lost = member.losses(member.atoms, Reason.BACKBONE)
@@ -194,7 +186,6 @@ def _complete_backbones(
 
 
 def _split_at_breaks(draft: Draft, run: list[Member]) -> Changes:
-    """Split a chain into pieces of consecutively bonded residues."""
     last: Member | None = None
     for member in run:
         gap = _gap(last, member) if last else np.inf
@@ -235,8 +226,8 @@ def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
     if last.atom("OXT") or last.is_cap or first.is_cap or {id(last), id(first)} & draft.orphans:
         return
     if draft.reading.strict:
-        raise StructureError(
-            f"{draft.source}: chain {last.residue.chain_name} is broken between {last.seqid} and "
+        raise draft.error(
+            f"chain {last.residue.chain_name} is broken between {last.seqid} and "
             f"{first.seqid} ({gap:.1f} angstrom); model the missing residues, or leave out ",
             Argument("strict", True),
         )
@@ -272,7 +263,7 @@ def _add_chain(draft: Draft, chain: list[Member]) -> Changes:
     elif members:
         part = Part(members[0].chain_id, members)
         last, first = members[-1], members[0]
-        part.cyclic = len(members) >= SMALLEST_RING and _gap(last, first) < PEPTIDE_BREAK
+        part.cyclic = _gap(last, first) < PEPTIDE_BREAK
         for i, member in enumerate(members):
             if reason := _conversion_reason(draft, part, i):
                 yield from convert_to_parent(draft, member, reason)
@@ -307,11 +298,8 @@ def full_state(name: str) -> str:
 
 def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     """Convert a modified residue of a chain to its standard parent."""
-    residue, parent, original = (
-        member.residue,
-        member.parent or templates.archive_parent(member.name),
-        member.name,
-    )
+    residue, original = member.residue, member.name
+    parent = member.parent or templates.archive_parent(original)
     usual = draft.templates[full_state(parent)]
     expected = {*usual.element, *templates.other_names(member.atoms, usual), "OXT", "H1", "H2", "H3", "H"}
     for name in set(usual.heavy) - {atom.name for atom in member.atoms}:
@@ -319,10 +307,8 @@ def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
         chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
         if usual.element[name] == "S" and len(chalcogens) == 1:
             chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-    extra = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
-    member.atoms = [
-        atom for atom in member.atoms if atom.name in expected and not (extra and atom.is_hydrogen())
-    ]
+    extra = [a for a in member.heavy if a.name not in expected]
+    member.atoms = [a for a in member.atoms if a.name in expected and not (extra and a.is_hydrogen())]
     member.name, member.state, member.source = parent, "", None
     removed = tuple(a.name for a in extra)
     lost = member.losses(extra, reason)
@@ -332,17 +318,15 @@ def convert_to_parent(draft: Draft, member: Member, reason: Reason) -> Changes:
     if original == "MSE":
         yield Repair.of(Kind.SELENOMETHIONINE, lost, residue=residue)
     elif original != residues.name_in_file(parent, member.is_d):
-        truncated, complete = _TO_D if member.is_d else _TO_PARENT
+        if removed:
+            kind = Kind.CUT_TO_D if member.is_d else Kind.CUT_TO_PARENT
+        else:
+            kind = Kind.CONVERTED_TO_D if member.is_d else Kind.CONVERTED
         name = residues.name_in_file(parent, member.is_d)
-        yield Repair.of(truncated if removed else complete, lost, residue=residue, name=name, atoms=removed)
+        yield Repair.of(kind, lost, residue=residue, name=name, atoms=removed)
     elif removed or chirality(member) < 1:  # Other inversions are reported together.
         kind = Kind.MIRRORED_CUT if removed else Kind.MIRRORED
         yield Repair.of(kind, lost, residue=residue, atoms=removed)
-
-
-_TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D
-_TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
-"""Kinds of repairs with and without removed atoms."""
 
 
 def add_poses(draft: Draft) -> tuple[()]:
@@ -402,9 +386,7 @@ def _misplaced_atoms(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
         is_far = np.linalg.norm(x - np.median(x, axis=0), axis=1) > _FAR
         origin += [placed[i] for i in np.flatnonzero(is_far) if 2 * is_far.sum() < len(placed)]
     alpha = next((atom for atom in placed if atom.name == "CA" and atom not in origin), None)
-    return origin + [
-        atom for atom in placed if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _COINCIDENT
-    ]
+    return origin + [a for a in placed if alpha and a is not alpha and a.pos.dist(alpha.pos) < _COINCIDENT]
 
 
 def _gap(last: Member, first: Member) -> float:

@@ -10,6 +10,8 @@ from protochain.structure.molecule.templates import Template
 
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
 """Angstrom: largest excess of a bond over the sum of the covalent radii, and shortest bond."""
+_MOST_TRIED = 100_000
+"""Pairs of atoms: molecules need some hundreds, but equal pieces can be paired in too many ways."""
 _Graph = tuple[dict[str, tuple[str, int]], dict[str, set[str]]]
 """Element and number of hydrogens of each heavy atom, by name, and its heavy neighbours."""
 
@@ -29,13 +31,8 @@ def template_by_element(member: Member) -> Template:
     heavy = member.heavy
     for atom in (a for a in atoms if a.is_hydrogen()):
         bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
-    return Template(
-        member.name,
-        {a.name: a.element.name for a in atoms},
-        {a.name: float(a.charge) for a in atoms},
-        tuple(bonds),
-        {},
-    )
+    elements = {a.name: a.element.name for a in atoms}
+    return Template(member.name, elements, {a.name: float(a.charge) for a in atoms}, tuple(bonds))
 
 
 def find_template(member: Member, molecule: Template, templates: Iterable[Template]) -> Template | None:
@@ -93,10 +90,6 @@ def _match_atoms(molecule: _Graph, template: _Graph) -> dict[str, str] | None:
     return pairs
 
 
-_MOST_TRIED = 100_000
-"""Pairs of atoms: molecules need some hundreds, but equal pieces can be paired in too many ways."""
-
-
 def _outward(bonds: Mapping[str, set[str]]) -> Sequence[str]:
     """Return the atoms in an order in which each is bonded to an earlier one, if any path connects them."""
     order: list[str] = []
@@ -122,11 +115,7 @@ def _rename_template(template: Template, pairs: Mapping[str, str], molecule: Tem
                 new, number = f"H{number}", number + 1
             used.add(new)
             names[hydrogen] = new
-    return Template(
-        name,
-        {names[a]: element for a, element in template.element.items()},
-        {names[a]: charge for a, charge in template.charge.items()},
-        tuple((names[a], names[b]) for a, b in template.bonds),
-        {},
-        is_users=True,
-    )
+    elements = {names[a]: element for a, element in template.element.items()}
+    charges = {names[a]: charge for a, charge in template.charge.items()}
+    bonds = tuple((names[a], names[b]) for a, b in template.bonds)
+    return Template(name, elements, charges, bonds, is_users=True)

@@ -12,9 +12,9 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, angle, distance
 from protochain.core.checks import NO_BONDS
-from protochain.core.errors import Argument, StructureError
+from protochain.core.errors import Argument
 from protochain.core.graph import neighbours
 from protochain.structure.formats.records import DIGITS
 from protochain.structure.molecule.links import Link, is_metal, usual_length
@@ -46,6 +46,9 @@ _BOND, _ANGLE = 2.7e5, 500.0
 DISULFIDE = 3.0
 """Angstrom: sulphurs nearer than this are bonded, as in OpenMM (a disulfide bond is 2.05)."""
 Bridge = tuple[Member, Member]
+_OwnedAtoms = Sequence[tuple[Member, gemmi.Atom]]
+_Indices = Mapping[int, Mapping[str, int]]
+"""Index of each atom, by ``id`` of its residue and by name."""
 
 
 def find_links(draft: Draft) -> tuple[()]:
@@ -102,7 +105,6 @@ def report_links(draft: Draft) -> Changes:
 
 
 def _report_site(kind: Kind, site: Sequence[Link]) -> Repair:
-    """Report the bonds of an atom of a hetero molecule."""
     ends = tuple(AtomDistance(link.atoms[:1], link.length) for link in site)
     return Repair.of(kind, atom=site[0].atoms[1], ends=ends)
 
@@ -110,9 +112,6 @@ def _report_site(kind: Kind, site: Sequence[Link]) -> Repair:
 def _has_metal(link: Link) -> bool:
     """Whether a hetero residue has a metal and other atoms. Springs of the metal do not list other bonds."""
     return len(link.hetero.atoms) > 1 and any(a.element.is_metal for a in link.hetero.atoms)
-
-
-_OwnedAtoms = Sequence[tuple[Member, gemmi.Atom]]
 
 
 def _close_pairs(draft: Draft, protein: _OwnedAtoms, hetero_atoms: _OwnedAtoms) -> list[Link]:
@@ -312,11 +311,7 @@ def _metal_links(draft: Draft) -> list[Link]:
 
 
 def ties(
-    links: Sequence[Link],
-    at: Mapping[int, Mapping[str, int]],
-    x: Floats,
-    element: Sequence[str],
-    bonds: Integers,
+    links: Sequence[Link], at: _Indices, x: Floats, element: Sequence[str], bonds: Integers
 ) -> tuple[Tie, ...]:
     """Return springs that restrain links to their geometry in x (na, 3), nm, or to a usual one."""
     heavy = np.array(element) != "H"
@@ -345,7 +340,7 @@ def ties(
     return tuple(tie for tie in springs if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
 
 
-def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+def stated_ties(draft: Draft, links: Sequence[Link], at: _Indices) -> tuple[Tie, ...]:
     """Return the file's springs, or none if it lacks one of the links. Arguments as for :func:`ties`."""
     if not links or any(_ends(link) not in draft.springs for link in links):
         return ()
@@ -362,10 +357,7 @@ def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[st
 
 def measure(x: Floats) -> float:
     """Return the distance of two points (nm), or the angle at the middle one of three (rad)."""
-    if len(x) == 2:
-        return float(np.linalg.norm(x[1] - x[0]))
-    u, v = x[0] - x[1], x[2] - x[1]
-    return float(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
+    return float(distance(*x) if len(x) == 2 else angle(*x))
 
 
 def bond_disulfides(draft: Draft) -> Changes:
@@ -429,33 +421,32 @@ def _requested_bridge(
 ) -> Generator[Repair, None, Bridge | None]:
     """Return a requested bond, or None if it is found already."""
     at = {_label(member): member for member in cysteines}
-    bond = f"{draft.source}: disulfide {pair[0]}-{pair[1]}"
+    bond = f"disulfide {pair[0]}-{pair[1]}"
     for name in pair:
         if name not in at:
             residue = next((member for member in draft.members if _label(member) == name), None)
             problem = f"{residue} is no cysteine" if residue else f"no cysteine {name}"
-            raise StructureError(f"{bond}: {problem}; its cysteines are {', '.join(at) or 'none'}")
+            raise draft.error(f"{bond}: {problem}; its cysteines are {', '.join(at) or 'none'}")
     if pair[0] == pair[1]:
-        raise StructureError(f"{bond}: one cysteine is no bond; give two")
+        raise draft.error(f"{bond}: one cysteine is no bond; give two")
     ends = {id(at[name]) for name in pair}
     if any({id(first), id(second)} == ends for first, second in bridges):
         return None
     for first, second in bridges:
         if {id(first), id(second)} & ends:
-            raise StructureError(
+            raise draft.error(
                 f"{bond}: {_label(first)} and {_label(second)} are bonded, and no cysteine has two bonds; "
                 "leave one out, or drop the bonds that are found: ",
                 Argument("disulfide", NO_BONDS),
             )
-    end = next((name for name in pair if any(a.name == "SG" for a in at[name].links + at[name].metals)), "")
-    if end:
-        raise StructureError(
+    if end := next((name for name in pair if "SG" in at[name].bonded_names), ""):
+        raise draft.error(
             f"{bond}: {end} is bonded to a molecule kept with the protein; leave one of them out"
         )
     first, second = (at[name] for name in pair)
-    distance = _sulphur_distance(first, second)
-    kind = Kind.BRIDGE_FAR if distance >= DISULFIDE else Kind.BRIDGE_ASKED
-    yield Repair.of(kind, first=first.residue, second=second.residue, length=distance)
+    length = _sulphur_distance(first, second)
+    kind = Kind.BRIDGE_FAR if length >= DISULFIDE else Kind.BRIDGE_ASKED
+    yield Repair.of(kind, first=first.residue, second=second.residue, length=length)
     return first, second
 
 

@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import gemmi
+import numpy as np
 
 from protochain.core import checks, defaults
+from protochain.core.arrays import Integers
+from protochain.core.errors import StructureError
 from protochain.ligands import Ligand
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged
@@ -211,6 +214,10 @@ class Fragment:
     # Bonds other than along a chain, and the leaving atoms of each.
     bonds: Mapping[Link, tuple[tuple[Member, str], ...]]
 
+    def atoms(self, at: Mapping[int, Mapping[str, int]]) -> Integers:
+        """Return the indices (n,) of its atoms. Atoms of caps belong to neighbouring residues."""
+        return np.array([-1 if m is None else at[id(m)].get(name, -1) for m, name in self.owners])
+
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
@@ -279,6 +286,10 @@ class Draft:
     def members(self) -> list[Member]:
         """All residues, in order."""
         return [member for part in self.parts for member in part.members]
+
+    def error(self, *parts: object) -> StructureError:
+        """Return the refusal of the file, with its name before the message."""
+        return StructureError(f"{self.source}: ", *parts)
 
     def has_bond(self, first: Address, second: Address) -> bool:
         """Return whether the file lists a bond."""

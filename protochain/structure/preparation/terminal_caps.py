@@ -96,13 +96,8 @@ def _ends(draft: Draft) -> Iterator[_End]:
             ends = [gap for gap in gaps if gap.facts[side].place == member.residue.place]
             if cap.name == "ACE" and member.name != "PRO":
                 cap = cap._replace(opposite=())
-            if not (member.is_cap or {cap.frame[-1], "OXT"} & _bonded(member)):
+            if not (member.is_cap or {cap.frame[-1], "OXT"} & member.bonded_names):
                 yield _End(part, member, cap, ends[0] if ends else None)
-
-
-def _bonded(member: Member) -> set[str]:
-    """Return the names of atoms with bonds to metals and other molecules."""
-    return {a.name for a in (*member.links, *member.metals)}
 
 
 def _build(draft: Draft, end: _End) -> Generator[Repair, None, Member]:
@@ -116,7 +111,7 @@ def _build(draft: Draft, end: _End) -> Generator[Repair, None, Member]:
     turns = _TURNS + (-torsion if member.is_d else torsion)
     opposite = [at[name] for name in cap.opposite if name in at]
     if opposite:
-        stays = cap.step < 0 or "O" in _bonded(member)
+        stays = cap.step < 0 or "O" in member.bonded_names
         turns = _TURNS[: 1 if stays else None] + float(dihedral(a, b, c, opposite[0])) + np.pi
         inner = float(np.arccos(np.clip(unit(b - c) @ unit(opposite[0] - c), -1.0, 1.0)))
         angle = cap.share * (2.0 * np.pi - inner)
