@@ -24,8 +24,8 @@ from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.result import Relaxation
 from protochain.results.run_folder import checkpoint_of, refuse_earlier
 from protochain.structure import Structure
-from protochain.structure.molecule.residues import STANDARD
-from protochain.structure.substitute import LETTERS, thread_sequence
+from protochain.structure.molecule.residues import LETTERS, STANDARD
+from protochain.structure.substitute import thread_sequence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -29,10 +29,10 @@ from protochain.relaxation.result import Relaxation
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.build import from_sequence
-from protochain.structure.molecule.residues import STANDARD
+from protochain.structure.molecule.residues import LETTERS, STANDARD
 from protochain.structure.select import atoms_at
 from protochain.structure.sidechains.ideal import place_points
-from protochain.structure.substitute import LETTERS, substitute
+from protochain.structure.substitute import substitute
 from protochain.validation.layout import NONE, layout
 
 NEAR = 10.0

@@ -2,9 +2,9 @@
 
 from protochain.core.checks import text
 from protochain.core.errors import StructureError
-from protochain.structure.molecule import residues
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import LETTERS
 from protochain.structure.preparation.prepare import prepare
 from protochain.structure.preparation.structure_draft import Draft, Part
 
@@ -41,13 +41,12 @@ def from_sequence(sequence: str) -> Structure:
     import PeptideBuilder
 
     letters = "".join(text(sequence, "sequence").split()).upper()
-    names = {letter: name for name, letter in residues.STANDARD.items()}
     if not letters:
         raise StructureError("the sequence is empty; give one-letter codes such as NLYIQWLKDGG")
     for place, letter in enumerate(letters, 1):
-        if letter not in names:
+        if letter not in LETTERS:
             raise StructureError(
-                f"sequence: letter {place} is {letter!r}; use the 20 codes {''.join(sorted(names))}"
+                f"sequence: letter {place} is {letter!r}; use the 20 codes {''.join(sorted(LETTERS))}"
             )
     if len(letters) < 2:
         raise StructureError("sequence: give at least 2 residues; force fields lack free amino acids")

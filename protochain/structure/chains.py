@@ -44,11 +44,8 @@ class PairSums(Value):
         for (i, j), (x, y) in points.items():
             scale = size[i] / len(x)
             weight[i, j], square[i, j] = size[i], scale * float(np.sum(x**2) + np.sum(y**2))
-            model[i, j], reference[i, j], across[i, j] = (
-                scale * x.sum(axis=0),
-                scale * y.sum(axis=0),
-                scale * y.T @ x,
-            )
+            model[i, j], reference[i, j] = scale * x.sum(axis=0), scale * y.sum(axis=0)
+            across[i, j] = scale * y.T @ x
         return cls(weight, model, reference, across, square)
 
     def motion(self, rows: Integers, columns: Integers) -> tuple[Floats, Floats]:
@@ -61,12 +58,8 @@ class PairSums(Value):
     def deviations(self, turn: Floats, shift: Floats) -> Floats:
         """Sums (k, m) of squared distances of all pairs after a motion of the model."""
         along = self.model @ turn.T @ shift - self.reference @ shift
-        return np.asarray(
-            self.square
-            + self.weight * (shift @ shift)
-            + 2.0 * along
-            - 2.0 * np.einsum("ab,ijab->ij", turn, self.across)
-        )
+        across = np.einsum("ab,ijab->ij", turn, self.across)
+        return np.asarray(self.square + self.weight * (shift @ shift) + 2.0 * along - 2.0 * across)
 
 
 def least_rmsd_mappings(sums: PairSums, first: Integers) -> list[Integers]:

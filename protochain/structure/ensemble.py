@@ -45,11 +45,9 @@ class Ensemble(Value):
         object.__setattr__(self, "place", read_only(self.place, np.int64))
 
     @classmethod
-    def of(
-        cls, structure: Structure, frames: Frames, settings: Mapping[str, Any] | None = None
-    ) -> "Ensemble":
+    def of(cls, structure: Structure, frames: Frames, settings: Mapping[str, Any] = {}) -> "Ensemble":
         """Find the atoms of a structure in frames by name, or in the order of its file or of itself."""
-        return cls(structure, _places(structure, frames), dict(settings or {}))
+        return cls(structure, _places(structure, frames), dict(settings))
 
     def at(self, frame: Frame) -> Structure:
         """Return the structure at a frame with whole molecules and all missing atoms placed."""
@@ -79,11 +77,8 @@ class Ensemble(Value):
             raise StructureError(frame.error)
         s, x = self.structure, np.full((self.structure.n_atoms, 3), np.nan)
         x[self._present] = frame.x[self.place[self._present]]
-        strange = self._present[~(np.abs(x[self._present]) < _FARTHEST).all(axis=1)]
-        if len(strange):
-            raise StructureError(
-                f"the position of {s.describe(int(strange[0]))} is not a number, or far away"
-            )
+        if strange := self._present[~(np.abs(x[self._present]) < _FARTHEST).all(axis=1)].tolist():
+            raise StructureError(f"the position of {s.describe(strange[0])} is not a number, or far away")
         if frame.box is not None:
             x = self._gather(self._make_whole(x, frame.box), frame.box)
         ends = x[self._bonds]
@@ -217,9 +212,8 @@ def _places_by_name(s: Structure, frames: Frames) -> Integers:
     assert s.origin
     at = {name: k for k, name in enumerate(frames.names)}
     names = [s.origin.atoms[place] if place >= 0 else "" for place in s.origin.place.tolist()]
-    absent = [
-        name for name, e in zip(names, s.atom_element, strict=True) if name and e != "H" and name not in at
-    ]
+    elements = zip(names, s.atom_element.tolist(), strict=True)
+    absent = [name for name, element in elements if name and element != "H" and name not in at]
     if absent:
         raise StructureError(
             f"{frames.source}: has no atom {absent[0]}, which {s.name} has; give the topology of the frames"

@@ -21,6 +21,8 @@ from protochain.ligands.sources import as_filed, records, text_of, title_of
 from protochain.structure.convert import as_structure
 from protochain.structure.molecule.model import Structure
 
+_PREFIX = "protochain_"
+
 
 def save_ligands(
     structure: Any, path: str | Path, sources: Sequence[str | Path] = (), *, others: bool = False
@@ -193,9 +195,6 @@ def _fields(filed: str, added: Mapping[str, object]) -> str:
     new = {name: value for name, value in added.items() if name.startswith(_PREFIX) or name not in stated}
     texts = [f"{block.rstrip()}\n\n" for block in remain]
     return "".join(texts + [f">  <{name}>\n{value}\n\n" for name, value in new.items()])
-
-
-_PREFIX = "protochain_"
 
 
 def poses(path: Path) -> list[str]:

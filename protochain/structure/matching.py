@@ -28,6 +28,7 @@ _RELATED = 0.3
 Proteins 9:56 (1991), and Rost, Protein Eng. 12:85 (1999), for some 80 residues. One of some 2500 unrelated
 pairs of chains of 20 to 750 residues had more. Hundreds would have more if gaps did not count."""
 _ONE_FOLD = 0.5  # Least TM-score of chains with the same fold: Xu, Zhang, Bioinformatics 26:889 (2010).
+_FARTHEST = 1000.0  # Angstrom. Every assembly is shorter.
 _EXCHANGEABLE = 0.95
 """Least identity relative to the most similar chain. In OpenStructure chains are equal from 0.95 on."""
 
@@ -59,6 +60,11 @@ class _Alignment(NamedTuple):
     identity: float
 
 
+_Pairs = Sequence[tuple[int, int]]
+_Alignments = Mapping[tuple[int, int], _Alignment]
+"""Alignments by the indices of a chain of the reference and one of the model."""
+
+
 def match(reference: Structure, model: Structure) -> Match:
     """Pair residues by chain, number and name, or by alignment (BLOSUM62), equal chains by least RMSD."""
     return next(matches(reference, model))
@@ -77,7 +83,7 @@ def matches(reference: Structure, model: Structure) -> Iterator[Match]:
     place = {name: j for j, name in enumerate(models)}
     by_id = np.array([place.get(name, -1) for name in refs])
     first = by_id if numbered else _by_score(refs, models, aligned)
-    for mapping in _least_rmsd_mappings(reference, model, aligned, first):
+    for mapping in _mappings(reference, model, aligned, first):
         columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
         if numbered and (mapping == first).all():
             yield _make_match(reference, model, numbered, "numbers", columns)
@@ -85,12 +91,7 @@ def matches(reference: Structure, model: Structure) -> Iterator[Match]:
             yield _match_chains(reference, model, aligned, columns)
 
 
-def _match_chains(
-    reference: Structure,
-    model: Structure,
-    aligned: Mapping[tuple[int, int], _Alignment],
-    columns: Sequence[tuple[int, int]],
-) -> Match:
+def _match_chains(reference: Structure, model: Structure, aligned: _Alignments, columns: _Pairs) -> Match:
     """Pair residues of chains by alignment, or by their fold."""
     refs, models = _by_chain(reference), _by_chain(model)
     pairs, matched, refused, how = list[tuple[int, int]](), list[tuple[int, int]](), list[str](), "fold"
@@ -104,10 +105,8 @@ def _match_chains(
         if chain_pairs and score >= _ONE_FOLD:
             pairs, matched = pairs + chain_pairs, [*matched, (i, j)]
         else:
-            percent = f"{100 * aligned[i, j].identity:.0f} %"
-            refused.append(
-                f"chains {ref_id or '_'} and {model_id or '_'}: {percent} identical, TM-score {score:.2f}"
-            )
+            alike = f"{100 * aligned[i, j].identity:.0f} % identical, TM-score {score:.2f}"
+            refused.append(f"chains {ref_id or '_'} and {model_id or '_'}: {alike}")
     if not pairs:
         raise ProtochainError(
             f"{model.name}: its sequence is unrelated to that of {reference.name} ({'; '.join(refused)}); "
@@ -116,13 +115,7 @@ def _match_chains(
     return _make_match(reference, model, sorted(pairs), how, matched)
 
 
-def _make_match(
-    reference: Structure,
-    model: Structure,
-    pairs: Sequence[tuple[int, int]],
-    how: str,
-    columns: Sequence[tuple[int, int]],
-) -> Match:
+def _make_match(reference: Structure, model: Structure, pairs: _Pairs, how: str, columns: _Pairs) -> Match:
     ref_ids, model_ids = list(_by_chain(reference)), list(_by_chain(model))
     amino = sum(name in STANDARD for name in reference.residue_name.tolist())
     first, second = np.array(pairs, dtype=np.int64).T
@@ -136,16 +129,13 @@ def pair_atoms(
 ) -> Integers:
     """Pairs (n, 2) of chosen atoms (na,) of the reference and atoms of the same names in paired residues."""
     counterpart = dict(zip(*(index.tolist() for index in residues), strict=True))
-    place = {
-        (int(r), str(name)): k
-        for k, (r, name) in enumerate(zip(model.atom_residue, model.atom_name, strict=True))
-    }
-    pairs = [
-        (k, place[key])
-        for k in np.flatnonzero(chosen).tolist()
-        if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k])))
-        in place
-    ]
+    rows = zip(model.atom_residue.tolist(), model.atom_name.tolist(), strict=True)
+    place = {row: k for k, row in enumerate(rows)}
+    pairs = []
+    for k in np.flatnonzero(chosen).tolist():
+        row = counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k])
+        if row in place:
+            pairs.append((k, place[row]))
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
@@ -172,9 +162,6 @@ def _tm_scores(reference: tuple[Floats, str], model: tuple[Floats, str]) -> tupl
         return float("nan"), float("nan")
     result = tmtools.tm_align(y, x, model_sequence, sequence)
     return float(result.tm_norm_chain2), float(max(result.tm_norm_chain1, result.tm_norm_chain2))
-
-
-_FARTHEST = 1000.0  # Angstrom. Every assembly is shorter.
 
 
 def structure_to_measure(source: Any, keep: Sequence[str] | None = None) -> Structure:
@@ -256,7 +243,7 @@ def _by_chain(s: Structure) -> dict[str, list[int]]:
 
 def _alignments(
     refs: dict[str, list[int]], models: dict[str, list[int]], reference: Structure, model: Structure
-) -> dict[tuple[int, int], _Alignment]:
+) -> _Alignments:
     """Alignments of all pairs of chains, row by row, computed once for equal sequences."""
     unique: dict[tuple[tuple[str, ...], tuple[str, ...]], _Alignment] = {}
     alignments = {}
@@ -271,9 +258,7 @@ def _alignments(
     return alignments
 
 
-def _by_score(
-    refs: dict[str, list[int]], models: dict[str, list[int]], aligned: Mapping[tuple[int, int], _Alignment]
-) -> Integers:
+def _by_score(refs: dict[str, list[int]], models: dict[str, list[int]], aligned: _Alignments) -> Integers:
     """Chains (k,) of the model with the largest sum of scores, or -1. Unrelated chains pair by id."""
     from scipy.optimize import linear_sum_assignment
 
@@ -288,8 +273,8 @@ def _by_score(
     return mapping
 
 
-def _least_rmsd_mappings(
-    reference: Structure, model: Structure, aligned: Mapping[tuple[int, int], _Alignment], first: Integers
+def _mappings(
+    reference: Structure, model: Structure, aligned: _Alignments, first: Integers
 ) -> list[Integers]:
     """Mappings of chains with the least RMSD, among chains as similar as in the first mapping."""
     k, m = (1 + max(pair[side] for pair in aligned) for side in (0, 1))

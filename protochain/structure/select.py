@@ -15,6 +15,11 @@ from protochain.core.markup import abridge
 from protochain.structure.convert import as_structure, to_mdanalysis
 from protochain.structure.molecule.model import Structure
 
+_RANGES = re.compile(r"index( \d+:\d+)+")
+_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
+_BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
+_CONTACT = 0.5  # nm. Largest distance of heavy atoms of residues in contact, as in CAPRI.
+
 
 def select(structure: Structure, selection: str) -> np.ndarray:
     """Return the mask (na,) bool of the selected atoms."""
@@ -45,10 +50,6 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     if not mask.any():
         raise StructureError(f"{structure.name}: selection {selection!r} selects no atom; change it")
     return mask
-
-
-_RANGES = re.compile(r"index( \d+:\d+)+")
-_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
 
 
 def move_argument(source: Any) -> dict[str, str]:
@@ -201,8 +202,6 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
     return np.isin(structure.atom_residue, residues)
 
 
-_BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
-_CONTACT = 0.5  # nm. Largest distance of heavy atoms of residues in contact, as in CAPRI.
 _WORDS: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
     "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
     "ligand": _ligand, "interface": _interface,

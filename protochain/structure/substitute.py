@@ -13,15 +13,13 @@ from protochain.core.markup import abridge
 from protochain.structure.formats.files import number_atoms
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind, Repair
-from protochain.structure.molecule.residues import CAPS, STANDARD, name_in_file
+from protochain.structure.molecule.residues import CAPS, LETTERS, STANDARD, name_in_file
 from protochain.structure.preparation.prepare import READING, prepare, reading_of, run
 from protochain.structure.preparation.structure_draft import Draft
 from protochain.structure.select import select
 from protochain.structure.write import as_gemmi
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
-LETTERS = {letter: name for name, letter in STANDARD.items()}
-"""Names of the 20 standard residues by their letters."""
 
 
 def substitute(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:

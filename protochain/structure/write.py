@@ -37,9 +37,14 @@ _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999  # Angstrom: range of eight columns with three decimals.
 _PDB_NAME = 3  # Letters of a residue name.
 _PDB_SERIALS = 99_999  # Largest serial number of an atom in five columns. The end of each chain has one, too.
+_Lines = Iterable[str]
 _ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
+_LINK_NAMES = {
+    gemmi.ConnectionType.Disulf: "disulf", gemmi.ConnectionType.Covale: "covale",
+    gemmi.ConnectionType.MetalC: "metalc", gemmi.ConnectionType.Hydrog: "hydrog",
+}  # fmt: skip
 
 
 def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> None:
@@ -218,11 +223,8 @@ def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
     for entity in out.entities:
         entity.subchains = [new for old in entity.subchains for new in sorted(renamed.get(old, {old}))]
     out.connections = gemmi.ConnectionList(_connections(first, out.connections))
-    out.cispeps = [
-        peptide
-        for number, structure in zip(numbers, structures, strict=True)
-        for peptide in _cis_peptides(structure, number)
-    ]
+    numbered = zip(structures, numbers, strict=True)
+    out.cispeps = [peptide for model in numbered for peptide in _cis_peptides(*model)]
     return out
 
 
@@ -332,12 +334,6 @@ def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> It
         yield link
 
 
-_LINK_NAMES = {
-    gemmi.ConnectionType.Disulf: "disulf", gemmi.ConnectionType.Covale: "covale",
-    gemmi.ConnectionType.MetalC: "metalc", gemmi.ConnectionType.Hydrog: "hydrog",
-}  # fmt: skip
-
-
 def _is_link(structure: Structure) -> NDArray[np.bool_]:
     """(nb,) bool: bonds of LINK records: between residues, except along chains of standard residues."""
     ends = structure.atom_residue[structure.bonds]
@@ -361,7 +357,6 @@ def _link_type(structure: Structure, pair: tuple[int, int]) -> gemmi.ConnectionT
 
 
 def _cis_peptides(structure: Structure, number: int) -> Iterator[gemmi.CisPep]:
-    """Peptide bonds whose omega is near 0."""
     name, residue = structure.atom_name, structure.atom_residue
     alpha = {int(residue[k]): int(k) for k in structure.alpha_carbons}
     for first, second in structure.bonds.tolist():
@@ -388,9 +383,7 @@ def _merge_parts(out: gemmi.Structure) -> gemmi.Structure:
     return merged
 
 
-def _mmcif(
-    out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
-) -> str:
+def _mmcif(out: gemmi.Structure, models: Sequence[Structure], remarks: _Lines, repairs: _Lines) -> str:
     head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
     head.atoms, atoms.atoms, atoms.group_pdb, atoms.auth_all = False, True, True, True
     # With a cell of 1 angstrom, the placeholder, some programs would treat the chain as periodic.
@@ -399,7 +392,9 @@ def _mmcif(
     block = document.sole_block()
     quote_names(block)
     chemistry = _chemistry(models[0])
-    about = records.cif_rows(models[0].header, out, _label_map(models[0], out), chemistry)
+    written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
+    labels = dict(zip(models[0].residue_label, written, strict=False))
+    about = records.cif_rows(models[0].header, out, labels, chemistry)
     records.put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
     records.put(block, {records.SPRINGS: records.spring_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
@@ -414,22 +409,17 @@ def _mmcif(
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
-def _pdb(
-    out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
-) -> str:
+def _pdb(out: gemmi.Structure, models: Sequence[Structure], remarks: _Lines, repairs: _Lines) -> str:
     chemistry = _chemistry(models[0])
     drawn = {row["comp_id"] for row in chemistry.get(_BONDS, ())}
     bonded = _without_template(models[0]) - drawn
     before, names, complete = records.pdb_lines(models[0].header, out, chemistry, bonded)
-    lines = [
-        *before,
-        *(
-            f"REMARK   3 {line}"
-            for text in (*remarks, *repairs)
-            for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
-        ),
-        *records.spring_remarks(_springs(models)),
+    stated = [
+        f"REMARK   3 {line}"
+        for text in (*remarks, *repairs)
+        for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
     ]
+    lines = [*before, *stated, *records.spring_remarks(_springs(models))]
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     order = records.orders(models[0].header, chemistry)
     # Without a remark the dictionary has the orders of a component.
@@ -552,7 +542,6 @@ def _with_bonds(
 
 
 def _ends(row: Mapping[str, str]) -> frozenset[str]:
-    """Atoms of a row of bonds."""
     return frozenset(row.get(f"atom_id_{k}", "?") for k in (1, 2))
 
 
@@ -560,12 +549,6 @@ def _springs(models: Sequence[Structure]) -> list[records.Spring]:
     """Springs of all models, or none if they differ."""
     first, *later = (records.springs_of(model) for model in models)
     return first if all(springs == first for springs in later) else []
-
-
-def _label_map(structure: Structure, out: gemmi.Structure) -> dict[Label, Label]:
-    """Written label ids, by label ids of the file."""
-    written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
-    return dict(zip(structure.residue_label, written, strict=True)) if structure.residue_label else {}
 
 
 _WRITERS = {"PDB": _pdb, "mmCIF": _mmcif}

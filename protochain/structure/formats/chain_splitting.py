@@ -25,6 +25,13 @@ _CROWD, _CROWDED = 4.0, (200_000, 20)
 """Angstrom, and the permitted number of heavy-atom pairs this close: a constant, and a number per atom. A
 well packed atom has six. The cost of later steps grows quadratically with local density."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
+_PATCHES = {
+    "NME": (1, {"NT": "N", "CAT": "CH3"}),
+    "NH2": (1, {"NT": "N"}),
+    "ACE": (-1, {"CAY": "CH3", "CY": "C", "OY": "O"}),
+}
+_HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
+"""Caps of CHARMM (patches ACE, CT3, CT2): offset of the residue number, heavy atoms, hydrogens."""
 
 
 def chain_names(used: Container[str]) -> Iterator[str]:
@@ -119,15 +126,6 @@ def separate_caps(structure: gemmi.Structure) -> None:
                         new[0].name = names.get(atom.name, atom.name)
                         del chain[i][k]
                 chain.add_residue(new, i + max(step, 0))
-
-
-_PATCHES = {
-    "NME": (1, {"NT": "N", "CAT": "CH3"}),
-    "NH2": (1, {"NT": "N"}),
-    "ACE": (-1, {"CAY": "CH3", "CY": "C", "OY": "O"}),
-}
-_HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
-"""Caps of CHARMM (patches ACE, CT3, CT2): offset of the residue number, heavy atoms, hydrogens."""
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:

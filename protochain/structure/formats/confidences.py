@@ -18,6 +18,7 @@ from protochain.core.storage import write_atomically
 from protochain.structure.formats.files import split_name
 
 _LARGEST = 1_000_000_000  # Bytes. AlphaFold 3 writes some 100 MB of aligned errors for 3000 residues.
+_LARGEST_READ = 200_000_000  # Bytes, unpacked: some 4000 tokens.
 _PATTERNS = (
     # AlphaFold 3, RoseTTAFold 3; OpenFold 3.
     (
@@ -40,6 +41,10 @@ _PATTERNS = (
     (r"(AF-.+)-model_(v\d+)", (r"\1-confidence_\2.json", r"\1-predicted_aligned_error_\2.json")),
 )
 """Pattern of the stem of a model file, and names of its confidence files in the same folder."""
+_IPTM_KEYS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pairwise_iptm")
+"""Keys of the ipTM of chain pairs of AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold."""
+_PAE_KEYS = ("pae", "token_pair_pae", "predicted_aligned_error")
+"""Keys of the predicted aligned errors: most programs, Protenix, AlphaFold 2."""
 
 
 class CopyResult(NamedTuple):
@@ -165,10 +170,3 @@ def _read(path: Path) -> dict[str, Any]:
         return data if isinstance(data, dict) else {}
     except (OSError, ValueError, TypeError, BadZipFile, RecursionError, MemoryError):
         return {}
-
-
-_IPTM_KEYS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pairwise_iptm")
-"""Keys of the ipTM of chain pairs of AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold."""
-_PAE_KEYS = ("pae", "token_pair_pae", "predicted_aligned_error")
-"""Keys of the predicted aligned errors: most programs, Protenix, AlphaFold 2."""
-_LARGEST_READ = 200_000_000  # Bytes, unpacked: some 4000 tokens.

@@ -55,6 +55,23 @@ _HEAVIEST = 111  # Atomic number of the last element of OpenMM.
 _UNKNOWN = "UNL"  # Residue name of the PDB for unknown ligands. mmCIF does not permit empty names.
 _NAMELESS = "X"  # Name of atoms without a name, the symbol of an unknown element.
 _FARTHEST = 1e5  # Angstrom. Larger coordinates raise an error.
+_STRANGE = re.compile(r"[^\t\n -~]")
+_FEW_LINES, _SHORTEST, _LONGEST = 1_000_000, 8, 1_000_000
+"""Number of lines above which the mean length is checked, smallest mean length, longest line, in bytes."""
+_BYTES = MAX_MEGABYTES << 20
+_HEAD = 400  # Number of first bytes that contain the keys of a BinaryCIF file, which is a MessagePack map.
+_PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
+    (b"\x1f\x8b", "gzip", gzip.open),
+    (b"BZh", "bzip2", bz2.open),
+    (b"\xfd7zXZ\0", "xz", lzma.open),
+    (b"\x28\xb5\x2f\xfd", "zstd", zstandard.open),
+)
+"""First bytes of compressed files, name of the compression, and function that opens them."""
+_DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+"""Paths of open file descriptors, as a shell passes for ``<(zcat x.pdb.gz)``."""
+_CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
+_UPPER = ((0, 6), (12, 16), (17, 20))
+"""Columns of record, atom and residue names, which are converted to upper case."""
 
 
 def split_name(path: Path) -> tuple[str, str, str]:
@@ -188,19 +205,6 @@ def _refuse_many(data: bytes, source: str) -> None:
                 raise StructureError(f"{source}: more than {MAX_ATOMS} atoms; give fewer chains")
 
 
-_FEW_LINES, _SHORTEST, _LONGEST = 1_000_000, 8, 1_000_000
-"""Number of lines above which the mean length is checked, smallest mean length, longest line, in bytes."""
-_BYTES = MAX_MEGABYTES << 20
-_HEAD = 400  # Number of first bytes that contain the keys of a BinaryCIF file, which is a MessagePack map.
-_PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
-    (b"\x1f\x8b", "gzip", gzip.open),
-    (b"BZh", "bzip2", bz2.open),
-    (b"\xfd7zXZ\0", "xz", lzma.open),
-    (b"\x28\xb5\x2f\xfd", "zstd", zstandard.open),
-)
-"""First bytes of compressed files, name of the compression, and function that opens them."""
-
-
 @lru_cache(maxsize=1)
 def _standard_input(stream: BinaryIO) -> bytes:
     """Read standard input. The cache is needed because it can be read only once."""
@@ -211,10 +215,6 @@ def _bytes(path: Path) -> bytes:
     is_descriptor = str(path).startswith(_DESCRIPTORS)
     with (path if is_descriptor else regular(path)).open("rb") as file:
         return file.read(_BYTES + 1)
-
-
-_DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
-"""Paths of open file descriptors, as a shell passes for ``<(zcat x.pdb.gz)``."""
 
 
 def _is_cif(text: str) -> bool:
@@ -305,9 +305,6 @@ def _ascii(text: str, source: str, used: slice) -> str:
             column = (used.start or 0) + match.start() + 1
             raise StructureError(f"{source}: line {number}: column {column} holds a {kind}; correct it")
     return _STRANGE.sub("?", text)
-
-
-_STRANGE = re.compile(r"[^\t\n -~]")
 
 
 def _correct_pdb(
@@ -404,11 +401,6 @@ def _follows(before: str, number: str) -> bool:
         return int(number) - int(before) in (0, 1)
     except ValueError:
         return before == number
-
-
-_CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
-_UPPER = ((0, 6), (12, 16), (17, 20))
-"""Columns of record, atom and residue names, which are converted to upper case."""
 
 
 def _refuse_odd_numbers(line: str, number: int, source: str) -> None:

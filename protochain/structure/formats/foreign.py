@@ -31,6 +31,7 @@ SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
 """Suffixes of the files that :func:`by_mdanalysis` reads."""
 
 _LIGHTEST = 0.9  # amu. Lighter particles of a topology are lone pairs, Drude particles or virtual sites.
+_NO_SEGMENT = "SYSTEM"  # Segment name that MDAnalysis uses for files without segments.
 
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
@@ -67,10 +68,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
 def _is_charmm_prmtop(topology: Path) -> bool:
     """Return whether an Amber topology has CHARMM's force field, marked by a CTITLE flag."""
     with regular(topology).open(encoding="utf-8", errors="replace") as file:
-        return any(line.startswith("%FLAG CTITLE") for line in islice(file, _TITLE_LINES))
-
-
-_TITLE_LINES = 10
+        return any(line.startswith("%FLAG CTITLE") for line in islice(file, 10))
 
 
 def text_of_binary(data: bytes, source: str) -> str:
@@ -81,9 +79,8 @@ def text_of_binary(data: bytes, source: str) -> str:
         for name, block in pdbx.BinaryCIFFile.read(io.BytesIO(data)).items():
             output = document.add_new_block(name)
             for category, columns in block.items():
-                output.set_mmcif_category(
-                    f"_{category}.", {item: _values(column) for item, column in columns.items()}
-                )
+                values = {item: _values(column) for item, column in columns.items()}
+                output.set_mmcif_category(f"_{category}.", values)
     except Exception as error:  # biotite raises many types.
         raise StructureError(f"{source}: not a whole BinaryCIF file ({error}); download it again") from None
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
@@ -97,7 +94,6 @@ def _values(column: Any) -> list[Any]:
 
 
 def _companion_file(path: Path, suffixes: Iterable[str], kind: str) -> Path:
-    """Return the file with the same stem and one of these suffixes."""
     candidates = [path.with_suffix(suffix) for suffix in suffixes]
     companion = next((candidate for candidate in candidates if candidate.is_file()), None)
     if companion is None:
@@ -174,9 +170,6 @@ def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
     for chain in chains.values():
         model.add_chain(chain)
     return _structure(model, getattr(group, "dimensions", None))
-
-
-_NO_SEGMENT = "SYSTEM"  # Segment name that MDAnalysis uses for files without segments.
 
 
 def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:

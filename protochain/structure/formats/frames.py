@@ -30,6 +30,20 @@ from protochain.structure.formats.files import SUFFIXES, format_of, in_file_orde
 
 ALL = "all"
 """Selection of all frames."""
+_THINNEST = 0.3  # nm. Lower limit of the width of a periodic box.
+_TRR_HEAD = 84
+_UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
+_SELECTION = re.compile(
+    r"(?P<start>-?\d{1,12})?(?P<several>:(?P<stop>-?\d{1,12})?(:(?P<step>\d{1,12})?)?)?(?<!^)"
+)
+XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
+"""Bytes before compressed and before raw coordinates, largest number of atoms with raw coordinates, magic."""
+_XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
+"""Largest span of coordinates, bits of small differences, largest span with axes packed together."""
+_N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
+"""nm: N and C in the frame of a residue, CA at its origin (Jumper et al., Nature 596:583, 2021, supplement
+1.8.4). Residues differ by 0.0002."""
+_C_O = 0.123  # nm. Length of C=O.
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +124,6 @@ def frame_slice(spec: Any, name: str) -> slice:
     return slice(start, stop, step)
 
 
-_SELECTION = re.compile(
-    r"(?P<start>-?\d{1,12})?(?P<several>:(?P<stop>-?\d{1,12})?(:(?P<step>\d{1,12})?)?)?(?<!^)"
-)
-
-
 def trajectories(folder: Path) -> list[Path]:
     """Return trajectories below a folder, by suffix, except ``.npz``, which has other uses."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in {*_READERS} - {".npz"})
@@ -179,9 +188,6 @@ def _box(vectors: Any) -> Floats | None:
     box = np.array(vectors, dtype=float).reshape(3, 3)
     is_box = np.isfinite(box).all() and np.linalg.norm(box, axis=1).min() > _THINNEST
     return box if is_box and abs(np.linalg.det(box)) > _THINNEST**3 else None
-
-
-_THINNEST = 0.3  # nm. Lower limit of the width of a periodic box.
 
 
 def _from_universe(atoms: Any) -> Frames:
@@ -282,12 +288,6 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     return i == n_atoms and at <= 8 * n_bytes
 
 
-XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
-"""Bytes before compressed and before raw coordinates, largest number of atoms with raw coordinates, magic."""
-_XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
-"""Largest span of coordinates, bits of small differences, largest span with axes packed together."""
-
-
 def _trr_end(head: bytes, n_atoms: int) -> int:
     """Return the length in bytes of a TRR frame from its head, or 0 if the head is invalid."""
     if len(head) < _TRR_HEAD:
@@ -298,9 +298,6 @@ def _trr_end(head: bytes, n_atoms: int) -> int:
             if {box, virial, pressure} <= {0, 9 * real} and {x, v, f} <= {0, 3 * n_atoms * real}:
                 return 76 + 2 * real + box + virial + pressure + x + v + f
     return 0
-
-
-_TRR_HEAD = 84
 
 
 @dataclass(frozen=True)
@@ -390,7 +387,6 @@ def _reading_errors(path: Path) -> Iterator[None]:
 
 
 def _models(path: Path) -> Frames:
-    """Open the models of a PDB or mmCIF file as frames."""
     parsed = parse(path)[0]
     cell = parsed.cell
     box = _box(np.array(cell.orth.mat.tolist()).T / ANGSTROM_PER_NM) if cell.is_crystal() else None
@@ -454,16 +450,11 @@ def _npz(path: Path) -> Frames:
     return _frames_of(path, count, n_atoms, read)
 
 
-_UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
-
-
 def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
     """Yield rows of the arrays of an archive, one by one."""
     with ExitStack() as stack:
-        rows = [
-            stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
-            for name in names
-        ]
+        archive = stack.enter_context(zipfile.ZipFile(path))
+        rows = [stack.enter_context(archive.open(f"{name}.npy")) for name in names]
         heads = [(*head_of(file), file.tell()) for file in rows]
         for name, (_, fortran, dtype, _) in zip(names, heads, strict=True):
             if fortran or dtype.hasobject:
@@ -478,12 +469,6 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
                 row = np.frombuffer(data, dtype).reshape(shape[1:]) if is_full else np.full(shape[1:], np.nan)
                 values.append(row)
             yield k, values
-
-
-_N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
-"""nm: N and C in the frame of a residue, CA at its origin (Jumper et al., Nature 596:583, 2021, supplement
-1.8.4). Residues differ by 0.0002."""
-_C_O = 0.123  # nm. Length of C=O.
 
 
 def backbones(x: Floats, rotation: Floats) -> Floats:

@@ -17,6 +17,7 @@ _PLACE = slice(12, 27)  # Columns of the atom name, residue name, chain id and r
 _SERIALS = tuple(slice(k, k + 5) for k in range(6, 31, 5))
 """Columns of serial numbers. CONECT records have several."""
 _LARGEST_SERIAL = 99_999  # Largest serial number of five digits.
+_ORGANIC = (*"HCNOSPFI",)
 
 
 def remove_indents(lines: list[str]) -> int:
@@ -72,9 +73,6 @@ def _first_element(name: str) -> str:
     letters = name.lstrip("0123456789")
     halogen = re.match(r"(CL|BR)\d*$", letters)
     return halogen[1] if halogen else letters[0] if letters[:1] in _ORGANIC else ""
-
-
-_ORGANIC = (*"HCNOSPFI",)
 
 
 def join_segments(lines: list[str], source: str) -> tuple[list[str], list[Repair]]:
@@ -141,7 +139,6 @@ def _renumber_serials(lines: list[str], ends: list[int]) -> list[str]:
 
 
 def _shift_serials(line: str, shift: int) -> str:
-    """Add a shift to the serial numbers of an atom or CONECT record."""
     columns = _SERIALS if _record(line) == "CONECT" else _SERIALS[:1] if is_atom(line) else ()
     for column in columns:
         if (serial := line[column].strip()).isdigit():

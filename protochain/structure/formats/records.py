@@ -57,6 +57,10 @@ _KINDS = {
 _READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
 _PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
 """B factors of ESMFold and OpenFold, which write PARENT records. CASP models also have PFRMAT records."""
+_JOURNAL = {
+    "TITL": "title", "REF": "journal_full", "PMID": "pdbx_database_id_PubMed", "DOI": "pdbx_database_id_DOI",
+}  # fmt: skip
+"""Items of a citation by the names of JRNL records."""
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
@@ -159,10 +163,8 @@ def pdb_lines(
         line for r in categories.get("_database_PDB_remark.", []) for line in _plain(r["text"]).split("\n")
     ]
     for row in categories.get("_pdbx_data_usage.", []):
-        words = " ".join(
-            _plain(row[item]) for item in ("type", "details", "url", "name") if _has_value(row, item)
-        )
-        terms += textwrap.wrap(words, _REMARK_WIDTH)
+        words = [_value(row, item) for item in ("type", "details", "url", "name")]
+        terms += textwrap.wrap(" ".join(filter(None, words)), _REMARK_WIDTH)
     het = {
         residue.name for model in out for chain in model for residue in chain
         if residue.entity_type == gemmi.EntityType.NonPolymer
@@ -201,9 +203,8 @@ def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
     for category, rows in categories.items():
         if rows:
             items = dict.fromkeys(item for row in rows for item in row)
-            block.set_mmcif_category(
-                category, {item: [row.get(item, "?") for row in rows] for item in items}, raw=True
-            )
+            columns = {item: [row.get(item, "?") for row in rows] for item in items}
+            block.set_mmcif_category(category, columns, raw=True)
 
 
 class _RowRenamer:
@@ -301,20 +302,13 @@ def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Ite
 
 
 def _journal(lines: Iterable[str]) -> dict[str, Rows]:
-    """Return the citation in JRNL records."""
     record_lines: dict[str, list[str]] = {}
     for line in lines:
         record_lines.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
     if not record_lines:
         return {}
     text = {name: _join_lines(stated) for name, stated in record_lines.items()}
-    items = {
-        "id": "primary",
-        "title": text.get("TITL", ""),
-        "journal_full": text.get("REF", ""),
-        "pdbx_database_id_PubMed": text.get("PMID", ""),
-        "pdbx_database_id_DOI": text.get("DOI", ""),
-    }
+    items = {"id": "primary"} | {item: text.get(name, "") for name, item in _JOURNAL.items()}
     authors = [name.strip() for name in text.get("AUTH", "").split(",") if name.strip()]
     return {
         "_citation.": [{item: _quote(value) for item, value in items.items()}],
@@ -337,16 +331,9 @@ def _citation_records(categories: Mapping[str, Rows]) -> Iterator[tuple[str, str
         ]  # fmt: skip
         journal = ("journal_full",) if _has_value(row, "journal_full") else (
             "journal_abbrev", "journal_volume", "page_first", "year")  # fmt: skip
-        stated = {
-            "AUTH": ",".join(authors),
-            "TITL": _plain(row["title"]) if _has_value(row, "title") else "",
-            "REF": " ".join(_plain(row[item]) for item in journal if _has_value(row, item)),
-            **{
-                name: _plain(row[item])
-                for name, item in (("PMID", "pdbx_database_id_PubMed"), ("DOI", "pdbx_database_id_DOI"))
-                if _has_value(row, item)
-            },
-        }
+        stated = {"AUTH": ",".join(authors)}
+        stated |= {name: _value(row, item) for name, item in _JOURNAL.items()}
+        stated["REF"] = " ".join(filter(None, (_value(row, item) for item in journal)))
         yield from ((name, text) for name, text in stated.items() if text)
 
 
@@ -388,6 +375,10 @@ def _plain(value: str) -> str:
 
 def _has_value(row: Mapping[str, str], item: str) -> bool:
     return row.get(item, "?") not in _NO_VALUE
+
+
+def _value(row: Mapping[str, str], item: str) -> str:
+    return _plain(row[item]) if _has_value(row, item) else ""
 
 
 def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:

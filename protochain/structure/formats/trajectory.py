@@ -5,7 +5,6 @@ import os
 import struct
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -42,13 +41,6 @@ def _are_complete(path: Path, begin: int, end: int, n_atoms: int) -> bool:
     return begin == end
 
 
-def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
-    """Return the topology without hydrogens, and the indices of its atoms."""
-    modeller = app.Modeller(structure.topology, structure.positions * unit.nanometer)
-    modeller.delete([atom for atom in structure.topology.atoms() if atom.element.symbol == "H"])
-    return modeller.topology, np.flatnonzero(structure.atom_element != "H")
-
-
 class TrajectoryFile:
     """Writer of ``NAME.part.dcd``, renamed at the end. ``resume_at``: frames and bytes to continue after."""
 
@@ -61,9 +53,13 @@ class TrajectoryFile:
         hydrogens: bool = True,
     ) -> None:
         self.path = Path(path)
+        self.atoms: Any
         topology, self.atoms = structure.topology, slice(None)
         if not hydrogens:
-            topology, self.atoms = _without_hydrogens(structure)
+            self.atoms = np.flatnonzero(structure.atom_element != "H")
+            modeller = app.Modeller(topology, structure.positions * unit.nanometer)
+            modeller.delete([atom for atom in topology.atoms() if atom.element.symbol == "H"])
+            topology = modeller.topology
         check_trajectory(self.path)
         check_writable(self.path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -169,9 +165,7 @@ class TrajectoryFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 self.finish()

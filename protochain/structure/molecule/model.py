@@ -379,16 +379,9 @@ class Structure(Value):
 
     def _repr_html_(self) -> str:
         left_out = "; ".join(f"{count} {kind}" for kind, count in self.left_out.items())
-        return facts(
-            f"Structure {self.name}",
-            {
-                "chains": self.n_chains,
-                "residues": self.n_residues,
-                "atoms": self.n_atoms,
-                "left out": left_out or "nothing",
-                "repairs": "; ".join(self.changes) or "none",
-            },
-        )
+        counts = {"chains": self.n_chains, "residues": self.n_residues, "atoms": self.n_atoms}
+        changes = {"left out": left_out or "nothing", "repairs": "; ".join(self.changes) or "none"}
+        return facts(f"Structure {self.name}", {**counts, **changes})
 
 
 P = ParamSpec("P")

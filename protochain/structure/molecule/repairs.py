@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, StrEnum
+from functools import partial
 from string import Formatter
 from textwrap import shorten
 from types import MappingProxyType
@@ -43,6 +44,10 @@ class Words(NamedTuple):
     rank: Rank = Rank.CHANGE
 
 
+_Loss = partial(Words, rank=Rank.LOSS)
+_Omission = partial(Words, rank=Rank.LEFT_OUT)
+
+
 class Kind(Enum):
     """Kinds of repairs, with their words: the template alone, or ``Words``."""
 
@@ -65,20 +70,17 @@ class Kind(Enum):
     MOLECULES_RENUMBERED = "molecules that share number and name renumbered: {count} more"
     ATOMS_NUMBERED = "atoms that share a name numbered in {count:n molecule}"
     ASSEMBLY = "assembly {name} built of {before:n chain}: chains {chains:8}"
-    BLOCKS_LEFT_OUT = Words(
-        "data block {used} used, others with atoms left out: {others:4}; give each its own file",
-        rank=Rank.LOSS,
+    BLOCKS_LEFT_OUT = _Loss(
+        "data block {used} used, others with atoms left out: {others:4}; give each its own file"
     )
-    MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
-    MODELS_ARE_COPIES = Words(
+    MODELS_LEFT_OUT = _Loss("model {used} used, {count:n other model} left out")
+    MODELS_ARE_COPIES = _Loss(
         "model {used} used, {count:n other model} left out: rigid copies of it, as of an assembly; "
-        "{remedy} joins them",
-        rank=Rank.LOSS,
+        "{remedy} joins them"
     )
-    NO_END = Words(
+    NO_END = _Loss(
         "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check "
-        "that it is complete",
-        rank=Rank.LOSS,
+        "that it is complete"
     )
     MADE_WHOLE = (
         "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
@@ -90,18 +92,15 @@ class Kind(Enum):
     # Of its residues.
     ELEMENTS = "elements of {count:n atom} of standard residues corrected by their names, first {atom}"
     DEUTERIUM = "{count:n deuterium atom} read as hydrogen"
-    ALTERNATES = Words(
+    ALTERNATES = _Loss(
         "{residue}: alternate location {used} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
-        Rank.LOSS,
     )
-    EXCLUDED = Words(
-        "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
-        rank=Rank.LOSS,
+    EXCLUDED = _Loss(
+        "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it"
     )
-    COINCIDENT = Words(
-        "{residue} lies upon {other}: both kept; leave one out of the file, or give each its occupancy",
-        rank=Rank.LOSS,
+    COINCIDENT = _Loss(
+        "{residue} lies upon {other}: both kept; leave one out of the file, or give each its occupancy"
     )
     REPEATED = Words(
         "{residue}: {atoms} given more than once; the first of each kept",
@@ -121,23 +120,18 @@ class Kind(Enum):
         "{residue}: converted to its standard parent {name}",
         "modified residues converted to their standard parents",
     )
-    CUT_TO_PARENT = Words(
+    CUT_TO_PARENT = _Loss(
         "{residue}: converted to its standard parent {name}, {atoms} left out",
         "modified residues converted to their standard parents",
-        Rank.LOSS,
     )
     CONVERTED_TO_D = "{residue}: converted to its D-amino acid {name}"
-    CUT_TO_D = Words("{residue}: converted to its D-amino acid {name}, {atoms} left out", rank=Rank.LOSS)
+    CUT_TO_D = _Loss("{residue}: converted to its D-amino acid {name}, {atoms} left out")
     MIRRORED = "{residue}: D-amino acid, with the parameters of its mirror image"
-    MIRRORED_CUT = Words(
-        "{residue}: D-amino acid, with the parameters of its mirror image, {atoms} left out", rank=Rank.LOSS
+    MIRRORED_CUT = _Loss("{residue}: D-amino acid, with the parameters of its mirror image, {atoms} left out")
+    NO_BACKBONE = _Loss(
+        "{residue}: left out: its backbone atom {atom} is missing", "left out, without a backbone atom,"
     )
-    NO_BACKBONE = Words(
-        "{residue}: left out: its backbone atom {atom} is missing",
-        "left out, without a backbone atom,",
-        Rank.LOSS,
-    )
-    CAP = Words("{residue}: left out: this cap is not at the end of a chain", rank=Rank.LOSS)
+    CAP = _Loss("{residue}: left out: this cap is not at the end of a chain")
     ALONE = "{residue}: no part of a chain: it is bonded to no other residue"
     TORN = "the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond"
     GAP = Words(
@@ -156,28 +150,23 @@ class Kind(Enum):
     CHAIN_GOES_ON = "{last} and {first} are bonded: one chain, whose ids are kept"
     CYCLIC = "chain {last.chain_name} is cyclic: {last} is bonded to {first}"
     # Hetero molecules.
-    WATERS_LEFT_OUT = Words(
-        "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
+    WATERS_LEFT_OUT = _Omission(
+        "{count:n water} left out: the solvent is implicit; {remedy} keeps everything"
     )
-    LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
+    LEFT_OUT = _Omission("{counts} left out; {remedy} keeps everything")
     KEPT = "{counts:8} kept with the protein"
     KEPT_BY_ELEMENT = (
         "{counts:8} kept with the protein ({bare:8} by element, unless the force field has parameters)"
     )
-    PHOSPHATE = Words(
-        "{residue}: phosphate of a lone nucleotide left out: the force fields do not have it", rank=Rank.LOSS
-    )
+    PHOSPHATE = _Loss("{residue}: phosphate of a lone nucleotide left out: the force fields do not have it")
     COORDINATED = "{atom} is coordinated by {ends}: held at these distances by springs"
     ION_HELD = "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
     ION_MOVES = "{atom} is coordinated by {ends}: held at these distances by springs, and moves with them"
     BONDED = "{atom} is bonded to {ends}: held at these distances by springs"
-    BOND_IGNORED = Words(
-        "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
-    )
-    BONDS_LEFT_OUT = Words("{count:n bond} of the file to atoms that are left out", rank=Rank.LEFT_OUT)
-    IMAGES = Words(
-        "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}",
-        rank=Rank.LEFT_OUT,
+    BOND_IGNORED = _Loss("bond of the file between {atoms:and} ignored: {why}; mend the file if it is real")
+    BONDS_LEFT_OUT = _Omission("{count:n bond} of the file to atoms that are left out")
+    IMAGES = _Omission(
+        "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}"
     )
     NEAR = "{count:n pair} of atoms as near as bonded ones, but not bonded in the file: {pairs:2}"
     STAYS = "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
@@ -197,7 +186,7 @@ class Kind(Enum):
     CHARGE_UNSURE = (
         "{residue}: the charge of {atoms} at pH {ph:g} is uncertain; give the molecule with charges"
     )
-    INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
+    INVERTED = _Loss("{residue}: of another configuration than in its source: {atoms}")
     MOBILE = "{counts} with parameters of the force field: free to move, in torsions as a rigid body"
     STRAND = "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
     GLYCAN = (
@@ -211,28 +200,27 @@ class Kind(Enum):
     OTHER_ANOMER = (
         "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
     )
-    SUGAR_INVERTED = Words("{residue}: of another configuration than its name says: {atoms}", rank=Rank.LOSS)
+    SUGAR_INVERTED = _Loss("{residue}: of another configuration than its name says: {atoms}")
     NUCLEOTIDES_STAY = (
         "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
     )
     # Heavy atoms.
     ATOMS_RENAMED = "atoms renamed: {changes:4}"
     INVERTED_IN_FILE = "inverted stereocentres in the file: {atoms:6}"
-    INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
+    INNER_OXT = _Loss("{residue}: OXT left out: the chain continues")
     OXT_ADDED = "{residue}: missing OXT added"
     ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")
     BUILT_AS_D = "{residue}: built as a D-amino acid, as others of its chain are under such names"
-    BRIDGES_DROPPED = Words("disulfide bonds left out, as requested: {pairs:6}", rank=Rank.LOSS)
+    BRIDGES_DROPPED = _Loss("disulfide bonds left out, as requested: {pairs:6}")
     BRIDGE = "disulfide bond between {first} and {second}"
     BRIDGE_ASKED = "disulfide bond between {first} and {second}, as requested"
     BRIDGE_FAR = (
         "disulfide bond between {first} and {second}, as requested; their sulphurs are {length:.1f} "
         "angstrom apart"
     )
-    BRIDGE_IGNORED = Words(
+    BRIDGE_IGNORED = _Loss(
         "disulfide bond of the file between {first} and {second} ignored: it is {length:.1f} angstrom long; "
-        "request it as {remedy} if it is real",
-        rank=Rank.LOSS,
+        "request it as {remedy} if it is real"
     )
     # Hydrogens.
     USUAL_STATE = "{residue}: kept in its usual state: the force field has no terminal {state}"
@@ -248,10 +236,9 @@ class Kind(Enum):
     STATE_CHOSEN = "{residue} modelled as {state}"
     IMIDAZOLATE = "{residue} modelled as imidazolate: it bridges two metals"
     STATE_BY_PKA = "{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA"
-    STRANGE_HYDROGENS = Words(
+    STRANGE_HYDROGENS = _Loss(
         "{residue}: hydrogens left out, not of its state: {atoms:6}",
         "hydrogens left out that do not belong to the state",
-        Rank.LOSS,
     )
     HYDROGENS_RENAMED = "{count:n hydrogen} with an unknown name renamed after the parent atom"
     HYDROGENS_ADDED = Words(
@@ -399,9 +386,8 @@ def summarise(repairs: Iterable[Repair], render: Render = str) -> tuple[str, ...
     groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
     for repair in repairs:
         groups[_group(repair, render)].append(repair)
-    return tuple(
-        _group_text(*group, groups[group], render) for group in sorted(groups, key=lambda group: group[0])
-    )
+    ranked = sorted(groups.items(), key=lambda item: item[0][0])
+    return tuple(_group_text(*group, alike, render) for group, alike in ranked)
 
 
 _ACTION = frozenset({
@@ -445,7 +431,8 @@ def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
     one, many, rank = repair.kind.words
     if rank is Rank.GAP:
         return rank, ""
-    if repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN) and repair.facts["state"] in _HISTIDINES:
+    is_of_state = repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN)
+    if is_of_state and repair.facts["state"] in ("HID", "HIE", "HIP"):
         return Rank.HISTIDINE, ""
     return rank, _fill(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, render)
 
@@ -470,9 +457,6 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
         )
     places = [str(repair.facts["residue"]) for repair in alike]
     return f"{change} in {len(places)} residues: {abridge(places, _SHOWN)}"
-
-
-_HISTIDINES = ("HID", "HIE", "HIP")
 
 
 def lost_atoms(losses: Iterable[Loss]) -> list[str]:

@@ -12,6 +12,7 @@ STANDARD = {
     "THR": "T", "TRP": "W", "TYR": "Y", "VAL": "V",
 }  # fmt: skip
 """The 20 standard amino acids and their one-letter codes."""
+LETTERS = {letter: name for name, letter in STANDARD.items()}
 
 CAPS = frozenset({"ACE", "NME", "NH2"})
 """Terminal caps with force-field parameters."""

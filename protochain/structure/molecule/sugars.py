@@ -27,6 +27,15 @@ SUGARS = {
 }  # fmt: skip
 """Pyranoses by their names in the PDB archive, with GLYCAM's letters: the sugar, of lower case if it is L,
 and its anomer."""
+_SUBSTITUTED = {
+    "": "0", "23": "Z", "24": "Y", "26": "X", "34": "W", "36": "V", "46": "U", "234": "T", "236": "S",
+    "246": "R", "346": "Q", "2346": "P", "4789": "A", "789": "B", "489": "C", "479": "D", "478": "E",
+    "89": "F", "79": "G", "78": "H", "49": "I", "48": "J", "47": "K",
+}  # fmt: skip
+"""First letter of a code by the numbers of substituted oxygens. A single oxygen has its number."""
+GLYCOSYLATED = {"ASN": "NLN", "SER": "OLS", "THR": "OLT"}
+"""Residues of the protein that may bear sugars, and their GLYCAM names with sugars."""
+_AMIDES = {"C7": "C2N", "O7": "O2N", "C8": "CME"}, {"C10": "C5N", "O10": "O5N", "C11": "CME", "O11": "OHG"}
 
 
 def anomeric_carbon(sugar: str) -> str:
@@ -61,14 +70,6 @@ def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:
     return centres
 
 
-_SUBSTITUTED = {
-    "": "0", "23": "Z", "24": "Y", "26": "X", "34": "W", "36": "V", "46": "U", "234": "T", "236": "S",
-    "246": "R", "346": "Q", "2346": "P", "4789": "A", "789": "B", "489": "C", "479": "D", "478": "E",
-    "89": "F", "79": "G", "78": "H", "49": "I", "48": "J", "47": "K",
-}  # fmt: skip
-"""First letter of a code by the numbers of substituted oxygens. A single oxygen has its number."""
-
-
 def glycam_code(letters: str, substituted: Iterable[str]) -> str:
     """Code of a sugar with these substituted oxygens, as ``O4``."""
     where = "".join(sorted(name[1:] for name in substituted))
@@ -78,12 +79,6 @@ def glycam_code(letters: str, substituted: Iterable[str]) -> str:
 def other_anomer(letters: str) -> str:
     """Letters of the other anomer. N-glycolylneuraminic acid has only one in GLYCAM."""
     return letters[0] + {"A": "B", "B": "A"}.get(letters[1], "?")
-
-
-GLYCOSYLATED = {"ASN": "NLN", "SER": "OLS", "THR": "OLT"}
-"""Residues of the protein that may bear sugars, and their GLYCAM names with sugars."""
-
-_AMIDES = {"C7": "C2N", "O7": "O2N", "C8": "CME"}, {"C10": "C5N", "O10": "O5N", "C11": "CME", "O11": "OHG"}
 
 
 def glycam_names(sugar: str) -> dict[str, str]:

@@ -106,7 +106,6 @@ def _choices(site: Site, surroundings: "_Surroundings", chi: Floats, cost: Float
 
 
 def _choose_conformers(choices: Sequence[Choices]) -> Assignment:
-    """Choose the conformer of each residue."""
     tables = {}
     for i, j in touching([choice.x for choice in choices], REACH):
         energies = _pair_energies(choices[i], choices[j])
