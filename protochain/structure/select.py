@@ -78,17 +78,13 @@ def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.boo
         if parts[j].selected and not parts[i].selected:
             parts[i] = _Side(parts[i].residues & ~parts[j].residues, selected=False)
     one, two = (side.residues for side in parts)
+    interface = f"{structure.name}: interface {first}:{second}"
     if (one & two).any():
-        raise StructureError(
-            f"{structure.name}: interface {first}:{second}: "
-            f"{structure.describe_residue(int(np.argmax(one & two)))} is on both sides; give other chains"
-        )
+        residue = structure.describe_residue(int(np.argmax(one & two)))
+        raise StructureError(f"{interface}: {residue} is on both sides; give other chains")
     for text, residues in zip((first, second), (one, two), strict=True):
         if not residues.any():
-            raise StructureError(
-                f"{structure.name}: interface {first}:{second}: nothing is left of side {text!r}; "
-                "give other chains"
-            )
+            raise StructureError(f"{interface}: nothing is left of side {text!r}; give other chains")
     return one, two
 
 

@@ -152,18 +152,13 @@ def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
         members = group[group.resindices == residue.resindex]
         chain_id = str(members[0].chainID if has["chainIDs"] and members[0].chainID else residue.segid)
         chain_id = "" if chain_id == _NO_SEGMENT else chain_id
-        atoms = [
-            atom(
-                str(a.name),
-                str((has["elements"] and a.element) or guess(str(a.name))),
-                [float(value) for value in a.position],
-                float(a.tempfactor) if has["tempfactors"] else nan,
-            )
-            for a in members
-        ]
-        for new_atom, source in zip(atoms, members, strict=True) if light else ():
-            if source.mass < _LIGHTEST:
-                new_atom.element, new_atom.calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
+        atoms = []
+        for a in members:
+            element = str((has["elements"] and a.element) or guess(str(a.name)))
+            b_iso = float(a.tempfactor) if has["tempfactors"] else nan
+            atoms.append(atom(str(a.name), element, a.position.tolist(), b_iso))
+            if light and a.mass < _LIGHTEST:
+                atoms[-1].element, atoms[-1].calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
         code = str(residue.icode).strip() if has["icodes"] else ""
         chain = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
         chain.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))

@@ -447,10 +447,8 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
         return alike[0].sentence(render)
     if rank is Rank.GAP:
-        gaps = [
-            f"{gap['last'].place}-{gap['first'].number} ({gap['length']:.1f} angstrom)"
-            for gap in (repair.facts for repair in alike)
-        ]
+        facts = [(gap.facts["last"], gap.facts["first"], gap.facts["length"]) for gap in alike]
+        gaps = [f"{last.place}-{first.number} ({length:.1f} angstrom)" for last, first, length in facts]
         return (
             f"split at {len(gaps)} gaps in the chains, with charged termini: {abridge(gaps, _SHOWN)}; "
             "to avoid it, model the missing residues"

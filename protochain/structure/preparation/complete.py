@@ -48,10 +48,8 @@ def add_heavy_atoms(draft: Draft) -> Changes:
             if template is None:
                 where = "" if part.obstacle else " at the end of a chain"
                 raise draft.error(f"{member}: the force field has no parameters for it{where}; remove it")
-            renamed += [
-                AtomRename(before, residues.Atom(after, member.residue))
-                for before, after in rename(member.atoms, template)
-            ]
+            for before, after in rename(member.atoms, template):
+                renamed.append(AtomRename(before, residues.Atom(after, member.residue)))
             yield from _check_heavy_atoms(draft, member, template)
             atom_names = {a.name for a in member.atoms}
             missing = [name for name in template.heavy if name not in atom_names]
@@ -216,11 +214,8 @@ def _carbonyl_oxygen(draft: Draft, part: Part, i: int) -> Floats:
         return at["C"] - _CARBONYL * unit(arms)
     turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     places = place_points(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
-    other_atoms = np.array(
-        [a.pos.tolist() for m in draft.members for a in m.atoms if m is not member and not a.is_hydrogen()]
-        + [at["N"].tolist()]
-    )
-    room = np.linalg.norm(places[:, None] - other_atoms, axis=-1).min(axis=1)
+    others = [a.pos.tolist() for m in draft.members if m is not member for a in m.heavy]
+    room = np.linalg.norm(places[:, None] - [*others, at["N"].tolist()], axis=-1).min(axis=1)
     # The other oxygen of the carboxylate will be opposite.
     return places[int(np.argmax(np.round(np.minimum(room, np.roll(room, len(turns) // 2)), 4)))]
 

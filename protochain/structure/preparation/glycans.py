@@ -216,11 +216,8 @@ class _Surroundings:
 
 def _bonded_atoms(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
     """Return the heavy atoms of a residue at bond distance from one of its atoms."""
-    return [
-        a
-        for a in member.atoms
-        if a is not atom and not a.is_hydrogen() and Link(member, a, member, atom).excess <= COVALENT_SLACK
-    ]
+    others = (a for a in member.heavy if a is not atom)
+    return [a for a in others if Link(member, a, member, atom).excess <= COVALENT_SLACK]
 
 
 @cache

@@ -40,16 +40,13 @@ def protonate(draft: Draft) -> Changes:
     pka = _compute_pka(draft) if draft.reading.ph == AUTO else _NO_PKA
     shown = {id(m): "CYX" if id(m) in bridged else _lone_pair(m) or _state_in_file(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _state_at_ph(m, ph, pka) for m in draft.members}
-    chosen, turned = choose_flips(
-        (
-            member,
-            None
-            if member.name == "HIS" and not states[id(member)] and member.template is None
-            else part.template(templates, i, states[id(member)]) or part.template(templates, i),
-        )
-        for part in draft.parts
-        for i, member in enumerate(part.members)
-    )
+    templated = list[tuple[Member, Template | None]]()
+    for part in draft.parts:
+        for i, m in enumerate(part.members):
+            is_open = m.name == "HIS" and not states[id(m)] and m.template is None
+            fitting = part.template(templates, i, states[id(m)]) or part.template(templates, i)
+            templated.append((m, None if is_open else fitting))
+    chosen, turned = choose_flips(templated)
     states |= chosen
     added = present = renamed = 0
     for part in draft.parts:

@@ -387,11 +387,8 @@ def bond_disulfides(draft: Draft) -> Changes:
 def _pair_sulphurs(cysteines: list[Member]) -> list[Bridge]:
     """Pair the close sulphurs, the nearest first."""
     # Sulphurs at one metal may be close to each other. One bonded to a hetero molecule has no free valence.
-    sulphurs = [
-        (member, sulphur)
-        for member in cysteines
-        if (sulphur := member.atom("SG")) and not member.metals and all(a.name != "SG" for a in member.links)
-    ]
+    free = [m for m in cysteines if not m.metals and all(a.name != "SG" for a in m.links)]
+    sulphurs = [(member, sulphur) for member in free if (sulphur := member.atom("SG"))]
     x = [sulphur.pos.tolist() for _, sulphur in sulphurs]
     near = KDTree(x).query_pairs(DISULFIDE) if x else set()
     distances = sorted((sulphurs[i][1].pos.dist(sulphurs[j][1].pos), i, j) for i, j in near)
