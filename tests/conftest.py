@@ -13,6 +13,7 @@ from typing import NamedTuple
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest
+from fixtures.jobs import jobs_here, jobs_in_processes
 from fixtures.waiting import HANG
 
 THRESHOLD = gc.get_threshold()
@@ -58,6 +59,20 @@ def collected():
     if (dictionary := sys.modules.get("biotite.structure.info.ccd")) is not None:
         dictionary.get_ccd.cache_clear()
     gc.collect()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def jobs():
+    """Jobs of batches run in this process, but for tests with ``worker_processes``."""
+    with jobs_here():
+        yield
+
+
+@pytest.fixture
+def worker_processes():
+    """Jobs of batches have processes of their own, as users have them."""
+    with jobs_in_processes():
+        yield
 
 
 @pytest.fixture

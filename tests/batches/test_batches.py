@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
+from fixtures.jobs import jobs_in_processes
 from fixtures.refusals import expect_refusal
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.texts import explored
@@ -66,9 +67,10 @@ def done(folder, tmp_path_factory):
             opened = {*map(_socket, process.net_connections("all"))} - before
             sockets.setdefault(process.pid, set()).update(opened)
 
-    result = pc.batch(
-        folder, output, ("lbfgs", "kcm"), workers=1, model="all", max_evaluations=60, watch=watch
-    )
+    with jobs_in_processes():
+        result = pc.batch(
+            folder, output, ("lbfgs", "kcm"), workers=1, model="all", max_evaluations=60, watch=watch
+        )
     return result, seen, sockets
 
 

@@ -71,6 +71,7 @@ def test_a_frame_has_lists_of_its_own():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
 def test_processes_change_no_bit_and_no_order(tmp_path, x):
     path = saved(load(SMALL), x, tmp_path / "x.dcd")
     for given in (x, path):
@@ -149,6 +150,7 @@ def test_a_frame_at_which_the_process_ended_is_tried_again(monkeypatch, x):
     assert began == [(0, 1, 2, 3, 4, 5), (3, 4, 5), (4, 5), (5,)]
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_a_damaged_frame_of_a_file_takes_no_other_with_it(tmp_path):
     """mdtraj writes beyond its memory where the bits of a frame of XTC are wrong, and ends later."""
     structure = load(SMALL)

@@ -22,6 +22,7 @@ from protochain.batches.task import Task
 from protochain.core.errors import WriteError
 
 OWN = version("protochain")
+pytestmark = pytest.mark.usefixtures("worker_processes")
 
 
 @pytest.mark.parametrize(

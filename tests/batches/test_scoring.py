@@ -17,6 +17,7 @@ SETUP = pc.Setup(threads=1, solvent="vacuum")
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("worker_processes")
 def test_processes_score_as_this_one_does_in_the_order_of_the_files(tmp_path):
     bad = tmp_path / "bad.pdb"
     bad.write_text("no structure")

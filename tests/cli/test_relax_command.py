@@ -146,6 +146,7 @@ def cluster():
         yield made.scheduler_address
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_a_batch_relaxes_beside_other_methods_as_relax_alone(predictions, cluster, here):
     given = {"solvent": "vacuum", "max_evaluations": 40, "stiffness": 2000}
     b = pc.batch(predictions, "out", "lbfgs,relax", scheduler=cluster, **given)

@@ -48,7 +48,7 @@ def test_the_sum_of_native_distances_rises_by_the_predicted_rates(folded):
 
 
 def test_the_way_back_under_kcm_reports_whether_the_fold_returns(folded, path):
-    back = pc.minimise(path.structure, method="kcm-adaptive", max_evaluations=3000)
+    back = pc.minimise(path.structure, method="kcm-adaptive", max_evaluations=600)
     assert back.end.energy < path.energies[-1]
     share = path.contacts.share(back.x)
     assert path.contacts.share(folded.x) == 1.0

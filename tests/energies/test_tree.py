@@ -1,5 +1,6 @@
 """Far pairs by a tree: its expansions, its energy beside all pairs, its forces, and what it is chosen for."""
 
+import functools
 import pickle
 import re
 from itertools import combinations
@@ -29,8 +30,16 @@ SAMPLE = "1ake.pdb.gz"
 NEAR = Opening(0.5, 6)
 
 
+@functools.cache
 def energy(solvent="obc2", threads=2):
     return pc.energy(load(SAMPLE), solvent=solvent, engine="native", accuracy="exact", threads=threads)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten():
+    """Energies that tests of this file share are large."""
+    yield
+    energy.cache_clear()
 
 
 def rms(forces):
@@ -199,7 +208,7 @@ def test_all_pairs_judge_a_tree():
 
 
 def test_the_sum_by_which_a_tree_was_chosen_judges_its_start(monkeypatch):
-    x, exact = load(SAMPLE).positions, energy()
+    x, exact = load(SAMPLE).positions, energy.__wrapped__()
     tree, asked, by_pairs = exact.to_accuracy(5e-3, x), [], NativeEnergy.__call__
 
     def noted(its, at):

@@ -37,8 +37,8 @@ MOST_BYTES = 300_000
 STORED = 1e-4
 """Relative, of the energies that a notebook shows, which have few digits."""
 
-QUICKEST = {"01-first-steps", "impact"}
-"""One of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
+QUICKEST = {"01-first-steps"}
+"""What the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
 
 where = importlib.util.spec_from_file_location("remake", ROOT / "analysis" / "remake.py")
 remake = importlib.util.module_from_spec(where)

@@ -369,8 +369,10 @@ def test_by_default_those_turn_that_are_in_the_way():
     assert len(conflicting_residues(found)) < len(conflicting_residues(given))
 
 
-@pytest.mark.parametrize("glycine", ["N", "H", "CA", "HA2", "HA3", "C", "O"])
-@pytest.mark.parametrize("first", ["H1", "H2", "H3", "HA"])
+@pytest.mark.parametrize(
+    ("first", "glycine"),
+    [("H1", "N"), ("H2", "H"), ("H3", "CA"), ("HA", "HA2"), ("H1", "HA3"), ("H2", "C"), ("HA", "O")],
+)
 def test_atoms_that_no_chi_turns_do_not_make_a_side_chain_turn(first, glycine):
     structure = pc.from_sequence("SAAAGAAA")
     assert not len(conflicting_residues(structure))

@@ -81,6 +81,7 @@ def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
     assert same(then, whole[method])
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp_path, monkeypatch):
     failed, supervise = [], cluster.supervise
 

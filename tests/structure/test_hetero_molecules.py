@@ -490,7 +490,7 @@ def test_ions_whose_waters_are_left_out_stay_in_place():
     ions = [tie.atoms[1] for tie in s.ties if len(tie.atoms) == 2]
     assert len(ions) < 4 and s.obstacle[ions].all()
     assert any(line.endswith("; the ion stays in place") for line in sentences(s))
-    r = pc.minimise(s, method="cartesian", max_evaluations=40)
+    r = pc.minimise(s, pc.energy(s, solvent="vacuum"), "cartesian", max_evaluations=10)
     assert np.array_equal(r.x[ions], s.positions[ions])
 
 

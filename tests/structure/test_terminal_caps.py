@@ -9,7 +9,7 @@ import openmm
 import pytest
 from fixtures.command_line import run
 from fixtures.refusals import expect_refusal
-from fixtures.samples import STRUCTURES, shared
+from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import CAP_ANGLE_RAD, CAP_BOND_NM, CAP_PLACE_NM, PDB_NM, PDB_ROUNDING_NM, READ_AGAIN
 from openmm import app, unit
 
@@ -101,6 +101,16 @@ def assert_ideal(s):
             assert bend < np.sin(CAP_ANGLE_RAD), [s.describe(a) for a in atoms]
 
 
+def assert_apart(s):
+    """Heavy atoms of caps do not lie on others."""
+    heavy = np.flatnonzero(s.atom_element != "H")
+    of_cap = heavy[np.isin(s.residue_name[s.atom_residue[heavy]], ["ACE", "NME"])]
+    for k in of_cap.tolist():
+        near = {k, *s.neighbours[k], *(j for i in s.neighbours[k] for j in s.neighbours[i])}
+        far = heavy[~np.isin(heavy, [*near])]
+        assert np.linalg.norm(s.positions[far] - s.positions[k], axis=1).min() > 0.19, s.describe(k)
+
+
 @pytest.mark.parametrize(
     ("absent", "expected"),
     [
@@ -110,7 +120,7 @@ def assert_ideal(s):
     ],
 )
 def test_caps_at_breaks_are_where_the_chain_was(absent, expected, tmp_path):
-    whole, path = pc.load(UBIQUITIN), cut(tmp_path / "cut.pdb", *absent)
+    whole, path = load("1ubq.pdb"), cut(tmp_path / "cut.pdb", *absent)
     s, charged = pc.load(path, cap="breaks"), pc.load(path)
     assert caps(s) == expected and not caps(charged)
     assert kinds(s, Kind.GAP) == [] and len(kinds(charged, Kind.GAP)) == len(expected) // 2
@@ -119,6 +129,7 @@ def test_caps_at_breaks_are_where_the_chain_was(absent, expected, tmp_path):
     built = {str(r.facts["residue"]) for r in s.repairs if r.kind is Kind.CAP_AT_BREAK}
     assert built == {f"A:{cap}" for cap in expected}
     assert_ideal(s)
+    assert_apart(s)
     # An acetyl follows the ring of proline. A methylamide without room next to it turns.
     if absent == (36,):
         assert kinds(s, Kind.OXYGEN_TURNED)
@@ -300,18 +311,14 @@ def test_a_mirror_image_gets_mirror_images_of_the_caps(tmp_path):
             assert place(d, label, name) * [1, 1, -1] == pytest.approx(place(original, label, name), abs=2e-5)
 
 
+@pytest.mark.slow
 def test_an_oxygen_turns_if_its_cap_has_no_room_and_acetyls_avoid_the_rest(tmp_path):
     """The neighbour stands in the way of the methylamide, one residue further."""
     s = pc.load(shared("1r19_poor_1176.pdb"), chains="A", cap="breaks")
     turned = [str(r.facts["residue"]) for r in s.repairs if r.kind is Kind.OXYGEN_TURNED]
     assert turned and not kinds(s, Kind.NOT_CAPPED, Kind.GAP)
     assert_ideal(s)
-    heavy = np.flatnonzero(s.atom_element != "H")
-    of_cap = heavy[np.isin(s.residue_name[s.atom_residue[heavy]], ["ACE", "NME"])]
-    for k in of_cap.tolist():
-        near = {k, *s.neighbours[k], *(j for i in s.neighbours[k] for j in s.neighbours[i])}
-        far = heavy[~np.isin(heavy, [*near])]
-        assert np.linalg.norm(s.positions[far] - s.positions[k], axis=1).min() > 0.19, s.describe(k)
+    assert_apart(s)
 
 
 def test_mutations_and_rebuilt_side_chains_keep_the_caps(tmp_path):

@@ -39,7 +39,14 @@ def masks(s, *given):
     return [side[s.atom_residue] for side in sides(s, *given)]
 
 
-@pytest.mark.parametrize(("name", "first", "second"), [("1ysa.pdb", "C", "D"), ("1ysa.pdb", "C,D", "A,B")])
+@pytest.mark.parametrize(
+    ("name", "first", "second"),
+    [
+        ("3i40.pdb", "A", "B"),
+        pytest.param("1ysa.pdb", "C", "D", marks=pytest.mark.slow),
+        ("1ysa.pdb", "C,D", "A,B"),
+    ],
+)
 def test_the_energy_is_that_of_the_whole_without_either_side_alone(name, first, second):
     """By OpenMM's Reference platform, of files with the chains of both sides, and of either."""
     s, found = load(name), scored(name, first, second).scores
@@ -82,7 +89,10 @@ def test_terms_are_those_between_two_parts_and_shares_add_up():
     assert found.scores["energy_per_residue_kj_mol"] == pytest.approx(found.scores["energy_kj_mol"] / n)
 
 
-@pytest.mark.parametrize(("name", "first", "second"), [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C,D", "A,B")])
+@pytest.mark.parametrize(
+    ("name", "first", "second"),
+    [("3i40.pdb", "A", "B"), pytest.param("1ysa.pdb", "C,D", "A,B", marks=pytest.mark.slow)],
+)
 def test_areas_are_those_of_another_program(name, first, second):
     """Biotite's, with the radii of mdtraj, and five times its points: some per mille of an area."""
     s, found = load(name), scored(name, first, second).scores
