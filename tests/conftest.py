@@ -1,9 +1,11 @@
 """What is set for all tests: threads that do not spin, handlers of signals, a browser, the command line."""
 
+import ctypes
 import gc
 import os
 import shutil
 import signal
+import subprocess
 import sys
 from collections import Counter
 from types import SimpleNamespace
@@ -28,6 +30,22 @@ LONG = {
 def pytest_configure(config):
     """Of pytest-xdist: files in the order below, and not of most tests first."""
     config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session):
+    """Compile kernels before workers start: one that compiles those of an energy stays 200 MB larger."""
+    from protochain.core.compile_helpers import _HELPER
+    from protochain.core.processors import own_python, processors
+
+    if not getattr(session.config.option, "numprocesses", None) or hasattr(session.config, "workerinput"):
+        return
+    command = own_python("from protochain.core.compile_helpers import help_out; help_out()")
+    helpers = [
+        subprocess.Popen(command, env=os.environ | {_HELPER: str(k)}) for k in range(1, processors() + 1)
+    ]
+    for helper in helpers:
+        helper.wait()
 
 
 def pytest_collection_finish(session):
@@ -59,6 +77,9 @@ def collected():
     if (dictionary := sys.modules.get("biotite.structure.info.ccd")) is not None:
         dictionary.get_ccd.cache_clear()
     gc.collect()
+    # The C library keeps freed memory, some 100 MB after a file that compiles: it goes back to the system.
+    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        trim(0)
 
 
 @pytest.fixture(scope="module", autouse=True)

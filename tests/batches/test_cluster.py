@@ -115,15 +115,8 @@ def cluster(folder):
     dask = [sys.executable, "-m", "dask"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scheduler = [
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        file,
-    ]
+        "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file,
+    ]  # fmt: skip
     started = [subprocess.Popen([*dask, *scheduler], **quiet)]
     try:
         until(lambda: file.exists() and file.read_text().endswith("}"), started[0])

@@ -245,15 +245,8 @@ def test_each_record_of_a_docking_program_is_a_row_with_its_own_pose(tmp_path, m
             methanol.GetConformer().SetPositions(own - own[0] + place)
             writer.write(methanol)
     asked = (
-        "--ligands",
-        "poses.sdf",
-        "--ligand-charges",
-        "gasteiger",
-        "--solvent",
-        "vacuum",
-        "--workers",
-        "1",
-    )
+        "--ligands", "poses.sdf", "--ligand-charges", "gasteiger", "--solvent", "vacuum", "--workers", "1",
+    )  # fmt: skip
     assert run("relax", STRUCTURES / "ala10.pdb", *asked, "-o", "out", "--ligand-out", "out.sdf") == 0
     table = pd.read_csv("out/relaxed.csv")
     assert table["structure"].tolist() == [f"ala10.poses_{k}" for k in range(1, n + 1)]

@@ -222,15 +222,9 @@ def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     counts = [name for name in COLUMNS if name.startswith("n_")]
     whole = [*counts, "iterations", "evaluations", "seed", "threads", "model"]
     text = [
-        "structure",
-        "message",
-        "key",
-        "repairs",
-        "left_out",
-        "constant_terms",
-        "restraint_kj_mol_nm2",
+        "structure", "message", "key", "repairs", "left_out", "constant_terms", "restraint_kj_mol_nm2",
         "output",
-    ]
+    ]  # fmt: skip
     names = (*text, *whole)
     path.write_text(f"{','.join(names)},seconds\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n")
     table = read_table(path)
@@ -342,12 +336,9 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
     (tmp_path / "pages").mkdir()
     (tmp_path / "pages" / "s1.html").write_text("")
     summary = {
-        "n_structures": 4,
-        "table": "summary.csv",
-        "command": ["protochain", "batch"],
-        "python": "3.x",
+        "n_structures": 4, "table": "summary.csv", "command": ["protochain", "batch"], "python": "3.x",
         "versions": {"numpy": "n"},
-    }
+    }  # fmt: skip
     write_report(tmp_path, results(), summary)
     assert {path.name for path in tmp_path.iterdir()} == {
         "pages", "report.html", "energy.png", "rmsd.png", "seconds.png",

@@ -149,12 +149,9 @@ def test_missing_limits_follow_from_the_target_or_are_open(cage, read):
     pair = (3, "TYR", "CA"), (12, "PRO", "CA")
     columns = "weight target_value target_value_uncertainty lower_limit upper_limit"
     rows = [
-        (1, *pair, ".", 4.6, 0.3, ".", "."),
-        (2, *pair, 1, 4.6, ".", ".", "."),
-        (3, *pair, ".", 4.6, ".", ".", 6),
-        (4, *pair, ".", ".", ".", 3, "."),
-        (5, *pair, 0, 4.6, 0.1, 4, 5),
-    ]
+        (1, *pair, ".", 4.6, 0.3, ".", "."), (2, *pair, 1, 4.6, ".", ".", "."),
+        (3, *pair, ".", 4.6, ".", ".", 6), (4, *pair, ".", ".", ".", 3, "."), (5, *pair, 0, 4.6, 0.1, 4, 5),
+    ]  # fmt: skip
     held = read(distances(rows, columns)).listed
     limits = np.array([(r.lower, r.upper) for r in held])
     assert limits == pytest.approx(np.array([(4.3, 4.9), (4.6, 4.6), (0.0, 6.0), (3.0, 3.0)]))
@@ -365,15 +362,9 @@ def test_every_restraint_is_in_the_table_worst_first(tmp_path, capsys, command):
     table, out = tmp_path / "r.csv", tmp_path / "out.pdb"
     how = ("--method", "lbfgs", "--max-evaluations", 5) if command == "minimise" else ("--max-iterations", 5)
     given = (
-        command,
-        STRUCTURES / "1l2y.pdb",
-        "--restraints",
-        tmp_path / "noe.nef",
-        "-o",
-        out,
-        "--solvent",
+        command, STRUCTURES / "1l2y.pdb", "--restraints", tmp_path / "noe.nef", "-o", out, "--solvent",
         "vacuum",
-    )
+    )  # fmt: skip
     assert run(*given, *how, "--restraint-csv", table) == 3
     assert str(table) in capsys.readouterr().out
     found, end = pd.read_csv(table), pc.load(out)

@@ -119,7 +119,7 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     said = capsys.readouterr()
     assert "4 structures: 3 converged, 1 refused" in said.out and "replaced" not in said.err
     assert (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns == kept
-    assert run("relax", "in/ala.cif", "in/new.pdb", *given[2:], "--force") == 0
+    assert run("relax", "in/ala.cif", "in/new.pdb", *given[2:], "--force", "--verbose") == 0
     assert "relaxed.csv and " in capsys.readouterr().err
     assert len(pd.read_csv(here / "out" / "relaxed.csv")) == 2
 
@@ -282,14 +282,11 @@ def test_ligands_that_moved_farthest_are_printed_first(capsys):
     done = pc.relax(STRUCTURES / "ala10.pdb", max_iterations=1, threads=1, solvent="vacuum")
     ligands = [
         {
-            "name": "LIG",
-            "chain": "B",
-            "residue": str(k),
-            "rmsd_angstrom": 1.0,
+            "name": "LIG", "chain": "B", "residue": str(k), "rmsd_angstrom": 1.0,
             "displacement_max_angstrom": far,
         }
         for k, far in enumerate((0.5, 2.5, 0.25, 9.0, 1.5))
-    ]
+    ]  # fmt: skip
     print_relaxed(done, done.record() | {"output": "-", "ligands": ligands})
     shown = capsys.readouterr()
     assert re.findall(r"LIG B:(\d) ", shown.out + shown.err) == ["3", "1", "4"]

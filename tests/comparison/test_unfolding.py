@@ -116,13 +116,10 @@ def test_control_against_dense_projections():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"angle": 0.0}, "angle"),
-        ({"angle": float("nan")}, "angle"),
-        ({"until": 1.0}, "until"),
-        ({"modes": 0}, "modes"),
-        ({"max_steps": 2.5}, "max_steps"),
+        ({"angle": 0.0}, "angle"), ({"angle": float("nan")}, "angle"), ({"until": 1.0}, "until"),
+        ({"modes": 0}, "modes"), ({"max_steps": 2.5}, "max_steps"),
     ],
-)
+)  # fmt: skip
 def test_bad_settings_are_refused(folded, settings, words):
     with pytest.raises(pc.ProtochainError, match=f"^{words}"):
         pc.unfold(folded, **settings)

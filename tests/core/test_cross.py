@@ -6,13 +6,8 @@ import pytest
 from protochain.core.arrays import cross
 
 SHAPES = [
-    ((3,), (3,)),
-    ((5, 3), (5, 3)),
-    ((4, 2, 3), (4, 2, 3)),
-    ((7, 3), (3,)),
-    ((3,), (7, 3)),
-    ((0, 3), (0, 3)),
-]
+    ((3,), (3,)), ((5, 3), (5, 3)), ((4, 2, 3), (4, 2, 3)), ((7, 3), (3,)), ((3,), (7, 3)), ((0, 3), (0, 3)),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("shapes", SHAPES)

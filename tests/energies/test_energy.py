@@ -412,13 +412,10 @@ def test_nonbonded_terms_are_for_methods_that_only_turn_hinges():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("forcefield", "charmm36"),
-        ("solvent", "vacuum"),
-        ("salt", 0.1),
-        ("terms", "nonbonded"),
+        ("forcefield", "charmm36"), ("solvent", "vacuum"), ("salt", 0.1), ("terms", "nonbonded"),
         ("cutoff", 1.0),
     ],
-)
+)  # fmt: skip
 def test_an_argument_that_defines_an_energy_replaces_a_callable(name, value):
     """All others leave it as it is."""
     c = chain("ala10.pdb")

@@ -371,26 +371,13 @@ def test_acids_and_bases_are_charged_at_a_ph(smiles, ph, charges):
 @pytest.mark.parametrize(
     ("smiles", "charge"),
     [
-        ("SC#N", -1),
-        ("CN1CCN(C)CC1", 1),
-        ("OC(=O)CN(CC(=O)O)CCN(CC(=O)O)CC(=O)O", -3),
-        ("NCCNCCN", 2),
-        ("NCCCN", 2),
-        ("CP(=O)(O)OP(=O)(O)O", -3),
-        ("COP(=O)(O)NP(=O)(O)O", -3),
-        ("COP(=O)(O)OP(=S)(O)O", -3),
-        ("OP(=O)(O)OP(=O)(O)O", -3),
-        ("CN1C=CCC(C(N)=O)=C1", 0),
-        ("CN(C)C(=N)NC(=N)N", 1),
-        ("Nc1c2ccccc2nc2ccccc12", 1),
-        ("Cc1cc(NS(=O)(=O)c2ccccc2)no1", -1),
-        ("CC(=O)NN", 0),
-        ("CC(=O)NO", 0),
-        ("CNO", 0),
-        ("COP(=O)(O)NC", -1),
-        ("OC(=O)O", -1),
+        ("SC#N", -1), ("CN1CCN(C)CC1", 1), ("OC(=O)CN(CC(=O)O)CCN(CC(=O)O)CC(=O)O", -3), ("NCCNCCN", 2),
+        ("NCCCN", 2), ("CP(=O)(O)OP(=O)(O)O", -3), ("COP(=O)(O)NP(=O)(O)O", -3), ("COP(=O)(O)OP(=S)(O)O", -3),
+        ("OP(=O)(O)OP(=O)(O)O", -3), ("CN1C=CCC(C(N)=O)=C1", 0), ("CN(C)C(=N)NC(=N)N", 1),
+        ("Nc1c2ccccc2nc2ccccc12", 1), ("Cc1cc(NS(=O)(=O)c2ccccc2)no1", -1), ("CC(=O)NN", 0), ("CC(=O)NO", 0),
+        ("CNO", 0), ("COP(=O)(O)NC", -1), ("OC(=O)O", -1),
     ],
-)
+)  # fmt: skip
 def test_rules_mend_what_the_table_of_sites_has_not(smiles, charge):
     assert at_ph(sources.read(smiles), 7.0)[0].charge == charge
 

@@ -17,33 +17,18 @@ NITRO = "[N+](=O)[O-]"
 @pytest.mark.parametrize(
     ("smiles", "pka", "acid"),
     [
-        ("Oc1ccccc1", 9.99, 0),
-        ("Oc1ccc(C#N)cc1", 7.95, 0),
-        (f"Oc1ccc({NITRO})cc1", 7.15, 0),
-        (f"Oc1cccc({NITRO})c1", 8.4, 0),
-        ("Oc1c(Cl)cccc1Cl", 6.79, 0),
-        ("Oc1c(Cl)c(Cl)c(Cl)c(Cl)c1Cl", 4.7, 0),
-        (f"Oc1cc({NITRO})cc({NITRO})c1", 6.7, 0),
-        ("Oc1c(I)cc(C#N)cc1I", 4.0, 0),
-        ("Oc1ccc(C=O)cc1", 7.6, 0),
-        ("COc1cc(C=O)ccc1O", 7.4, 0),
-        (f"Sc1ccc({NITRO})cc1", 4.7, 0),
-        ("CC1(C)CC(=O)CC(=O)C1", 5.2, 0),
-        ("CC1(C)OC(=O)CC(=O)O1", 4.8, 0),
-        ("CC(=O)CC(C)=O", 8.9, 0),
-        ("CCC1(CC)C(=O)NC(=O)NC1=O", 7.9, 0),
-        ("ON1C(=O)CCC1=O", 6.0, 0),
-        ("O=c1[nH]c(-c2ccccc2)no1", 6.1, 0),
-        ("O=C1NC(=O)C(=Cc2ccccc2)S1", 6.4, 0),
-        ("OP(=O)(O)C(F)F", 5.7, -1),
-        ("CNC(=N)NP(=O)(O)O", 4.5, 0),
-        ("COP(O)(O)=S", 5.4, -1),
-        (f"CNC(=C{NITRO})NC", 2.7, 1),
-        ("CN1CC(=O)NC1=N", 4.8, 1),
-        ("NN", 8.1, 1),
+        ("Oc1ccccc1", 9.99, 0), ("Oc1ccc(C#N)cc1", 7.95, 0), (f"Oc1ccc({NITRO})cc1", 7.15, 0),
+        (f"Oc1cccc({NITRO})c1", 8.4, 0), ("Oc1c(Cl)cccc1Cl", 6.79, 0),
+        ("Oc1c(Cl)c(Cl)c(Cl)c(Cl)c1Cl", 4.7, 0), (f"Oc1cc({NITRO})cc({NITRO})c1", 6.7, 0),
+        ("Oc1c(I)cc(C#N)cc1I", 4.0, 0), ("Oc1ccc(C=O)cc1", 7.6, 0), ("COc1cc(C=O)ccc1O", 7.4, 0),
+        (f"Sc1ccc({NITRO})cc1", 4.7, 0), ("CC1(C)CC(=O)CC(=O)C1", 5.2, 0), ("CC1(C)OC(=O)CC(=O)O1", 4.8, 0),
+        ("CC(=O)CC(C)=O", 8.9, 0), ("CCC1(CC)C(=O)NC(=O)NC1=O", 7.9, 0), ("ON1C(=O)CCC1=O", 6.0, 0),
+        ("O=c1[nH]c(-c2ccccc2)no1", 6.1, 0), ("O=C1NC(=O)C(=Cc2ccccc2)S1", 6.4, 0),
+        ("OP(=O)(O)C(F)F", 5.7, -1), ("CNC(=N)NP(=O)(O)O", 4.5, 0), ("COP(O)(O)=S", 5.4, -1),
+        (f"CNC(=C{NITRO})NC", 2.7, 1), ("CN1CC(=O)NC1=N", 4.8, 1), ("NN", 8.1, 1),
         ("Nc1nc(N)c(-c2ccc(Cl)cc2)c(CC)n1", 7.3, 1),
     ],
-)
+)  # fmt: skip
 def test_a_site_loses_the_proton_at_the_pka(smiles, pka, acid):
     """One unit and more below the measured pKa it has the proton, and as far above it lacks it."""
     molecule = sources.read(smiles)

@@ -346,14 +346,10 @@ FLEX = (
 @pytest.mark.parametrize(
     "pulls",
     [
-        "stiffness='3'",
-        "damping='2'",
-        "frictionloss='0.3'",
-        "armature='0.2'",
-        "damping='0 1'",
+        "stiffness='3'", "damping='2'", "frictionloss='0.3'", "armature='0.2'", "damping='0 1'",
         "stiffness='0 2'",
     ],
-)
+)  # fmt: skip
 def test_a_tendon_that_acts_is_refused_and_one_for_actuators_is_listed(of, pulls):
     base = edited({}).replace("<worldbody>", '<worldbody><site name="w" pos="2 0 0"/>')
     plain = base.replace("<tendon />", "<X/>", 1).replace("<tendon />", f"<tendon>{of.format('')}</tendon>")

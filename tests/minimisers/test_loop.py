@@ -43,13 +43,10 @@ def test_an_evaluation_adds_the_restraint_to_energy_and_forces():
 @pytest.mark.parametrize(
     ("energy", "torque", "finite"),
     [
-        (1.0, 1.0, True),
-        (np.inf, 1.0, False),
-        (np.nan, 1.0, False),
-        (1.0, np.nan, False),
+        (1.0, 1.0, True), (np.inf, 1.0, False), (np.nan, 1.0, False), (1.0, np.nan, False),
         (1.0, -np.inf, False),
     ],
-)
+)  # fmt: skip
 def test_a_point_is_finite_if_its_energy_and_all_torques_are(energy, torque, finite):
     assert evaluation(energy, [0.0, torque, 0.0]).is_finite is finite
 

@@ -81,12 +81,9 @@ def test_free_atoms_are_their_positions():
 
 def test_springs_have_the_stiffness_of_their_bonds_and_distance():
     constants = (
-        spring_model.DEPTH,
-        spring_model.DECAY,
-        spring_model.REACH,
-        spring_model.TORSION_FLOOR,
+        spring_model.DEPTH, spring_model.DECAY, spring_model.REACH, spring_model.TORSION_FLOOR,
         spring_model.CARTESIAN_FLOOR,
-    )
+    )  # fmt: skip
     assert constants == (0.4, 14.0, 1.3, 150.0, 8.0e3)
     assert (spring_model.BOND, spring_model.ANGLE, spring_model.DIHEDRAL) == (2.5e5, 4.0e4, 2.0e3)
     s = load("ala10.pdb")

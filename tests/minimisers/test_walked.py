@@ -49,12 +49,8 @@ def test_a_walk_in_torsions_looks_at_its_end(noted):
 @pytest.mark.parametrize("method", ["hybrid", "cartesian"])
 def test_a_walk_in_all_atoms_looks_at_its_end_at_tight_tolerances_or_if_asked(noted, method):
     asked = (
-        (None, None, False),
-        (1.01, None, False),
-        (1.0, None, True),
-        (9.0, True, True),
-        (0.1, False, False),
-    )
+        (None, None, False), (1.01, None, False), (1.0, None, True), (9.0, True, True), (0.1, False, False),
+    )  # fmt: skip
     for tolerance, curvature, looks in asked:
         run = walked(noted, method, tolerance=tolerance, curvature=curvature)
         found = [stage for stage in noted.plan if stage.looks]

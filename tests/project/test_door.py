@@ -113,16 +113,8 @@ ANYTHING_GOES = {
 """Names that no work depends on."""
 FURTHER = {
     "batch": (
-        "curvature",
-        "max_evaluations",
-        "tolerance",
-        "max_rmsd",
-        "seed",
-        "workers",
-        "threads",
-        "time_limit",
-        "ph",
-        "hinges",
+        "curvature", "max_evaluations", "tolerance", "max_rmsd", "seed", "workers", "threads", "time_limit",
+        "ph", "hinges",
     ),
     "explore": ("tolerance", "max_evaluations", "watch"),
     "compare": ("max_evaluations", "seed", "curvature", "judge"),
@@ -146,7 +138,7 @@ FURTHER = {
     ),
     "EveryFrame": ("hinges", "ph", "threads", "keep"),
     "relax_frames": ("protocol", "tolerance", "repack", "threads", "ph"),
-}
+}  # fmt: skip
 """Names that a function takes by ``**``."""
 
 

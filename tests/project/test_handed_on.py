@@ -352,16 +352,10 @@ def test_an_unfolded_chain_brings_its_energy():
 @pytest.mark.parametrize(
     "call",
     [
-        pc.minimise,
-        pc.simulate,
-        pc.relax,
-        pc.energy,
-        pc.frame_energies,
-        pc.relax_frames,
-        pc.cluster_frames,
+        pc.minimise, pc.simulate, pc.relax, pc.energy, pc.frame_energies, pc.relax_frames, pc.cluster_frames,
         pc.rmsd,
     ],
-)
+)  # fmt: skip
 def test_what_has_no_structure_is_refused_with_what_to_give(call):
     changes = pc.differences(peptide(), solution())
     for wrong in (changes, changes.residues, pc.quality(solution()), [], None):

@@ -96,13 +96,9 @@ def test_no_test_watches_a_clock():
 @pytest.mark.parametrize(
     ("code", "found"),
     [
-        ("process.wait(timeout=60)", 1),
-        ("process.wait(timeout=HANG)", 0),
-        ("thread.join(5.0)", 1),
-        ("event.wait(HANG)", 0),
-        ("subprocess.run(command, timeout=20)", 1),
-        ("', '.join(names)", 0),
+        ("process.wait(timeout=60)", 1), ("process.wait(timeout=HANG)", 0), ("thread.join(5.0)", 1),
+        ("event.wait(HANG)", 0), ("subprocess.run(command, timeout=20)", 1), ("', '.join(names)", 0),
     ],
-)
+)  # fmt: skip
 def test_a_limit_of_time_is_found(code, found):
     assert len(list(limits(ast.parse(code)))) == found

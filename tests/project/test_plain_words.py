@@ -21,12 +21,9 @@ PACKAGE = ROOT / "protochain"
 TABLE = Path(__file__).with_name("words.csv")
 DOCS = ROOT / "analysis" / "docs"
 PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    ROOT / "analysis" / "README.md",
-    *sorted(DOCS.glob("*.md")),
+    ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "analysis" / "README.md", *sorted(DOCS.glob("*.md")),
     *sorted((DOCS / "measured").glob("*.md")),
-]
+]  # fmt: skip
 ROOMS = sorted({path.relative_to(PACKAGE).parts[0] for path in PACKAGE.rglob("*.py")})
 
 EMPTY = frozenset(

@@ -22,12 +22,8 @@ SHARED = sorted(path.name for path in MORE_STRUCTURES.glob("*.[pc][di][bf]"))
 REFUSED = ("ubiquitin_ca_only.pdb",)
 CRYSTALS = ("1ubq.pdb", "4pti.pdb", "1hel.pdb", "3i40.pdb")
 MORE_CRYSTALS = (
-    "1ake_A.pdb",
-    "1us0_altlocs.pdb",
-    "4cup_missing.cif",
-    "1orc_icode.pdb",
-    "1fas_fasciculin.cif",
-)
+    "1ake_A.pdb", "1us0_altlocs.pdb", "4cup_missing.cif", "1orc_icode.pdb", "1fas_fasciculin.cif",
+)  # fmt: skip
 
 
 def places(residue):

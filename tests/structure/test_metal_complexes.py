@@ -1,6 +1,7 @@
 """Metal complexes, clusters and bonds of metals: charges, what moves, distances that springs hold."""
 
 import csv
+import functools
 from pathlib import Path
 
 import gemmi
@@ -30,6 +31,14 @@ HELD = {
     "hem_his": ("NE2", "FE", 2.05),
 }  # fmt: skip
 """A bond of each case that a spring is to hold, and its length in the file."""
+MORE = {"hem_his", "NBN", "6MO", "MOM"}
+"""Kinds like others, for the slow tests."""
+
+
+@functools.cache
+def case(name):
+    """A structure of the collection, prepared once."""
+    return pc.load(shared(f"{CASES}/{name}.pdb"), keep="all")
 
 
 def charge_of(structure, residue_name=""):
@@ -77,13 +86,15 @@ def test_every_case_of_the_manifest_is_tested():
 
 @pytest.mark.parametrize("name", CHARGES)
 def test_a_case_has_its_charge(name):
-    s = pc.load(shared(f"{CASES}/{name}.pdb"), keep="all")
+    s = case(name)
     assert charge_of(s) == pytest.approx(CHARGES[name], abs=SUM_OF_CHARGES)
 
 
-@pytest.mark.parametrize("name", HELD)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in MORE else ()) for name in HELD]
+)
 def test_a_bond_of_a_metal_is_held_and_reported(name):
-    s = pc.load(shared(f"{CASES}/{name}.pdb"), keep="all")
+    s = case(name)
     end = pc.relax(s).structure.positions
     donor, metal, length = HELD[name]
     rows = tied(s, end)
@@ -98,7 +109,7 @@ def test_a_bond_of_a_metal_is_held_and_reported(name):
 
 
 def test_a_histidine_between_two_metals_has_no_hydrogen_at_nitrogen():
-    s = pc.load(shared(f"{CASES}/sod_bridge.pdb"), keep="all")
+    s = case("sod_bridge")
     (residue,) = (each.facts["residue"] for each in s.repairs if each.kind is Kind.IMIDAZOLATE)
     mine = (s.residue_chain[s.atom_residue] == residue.chain) & (s.residue_name[s.atom_residue] == "HIS")
     assert not {"HD1", "HE2"} & {*s.atom_name[mine]}
@@ -149,7 +160,7 @@ def test_a_charge_of_the_file_is_the_oxidation_state(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["cif", "pdb"])
 def test_a_heme_read_again_has_the_same_springs_and_energy(tmp_path, suffix):
-    s = pc.load(shared(f"{CASES}/hem_his_CN.pdb"), keep="all")
+    s = case("hem_his_CN")
     rng = np.random.default_rng(1)
     s = s.with_positions(np.round(s.positions + rng.normal(scale=0.002, size=s.positions.shape), 4))
     pc.save(s, tmp_path / f"heme.{suffix}")
@@ -160,23 +171,23 @@ def test_a_heme_read_again_has_the_same_springs_and_energy(tmp_path, suffix):
 
 
 def test_forces_of_a_heme_are_those_of_openmm():
-    s = pc.load(shared(f"{CASES}/hem_his_CN.pdb"), keep="all")
+    s = case("hem_his_CN")
     (e, f), (expected, forces) = (pc.energy(s, engine=name)(s.positions) for name in ("native", "openmm"))
     assert e == pytest.approx(expected, rel=1e-6)
     assert np.abs(f - forces).max() < 1e-4 * np.abs(forces).max()
 
 
 def test_a_metal_takes_no_bond_from_the_source_of_its_ring():
-    s = pc.load(shared(f"{CASES}/hem_his.pdb"), keep="all")
+    s = case("hem_his")
     (bound,) = s.ligands
     assert not any(gemmi.Element(int(z)).is_metal for z in bound.ligand.molecule.elements)
     assert bound.ligand.molecule.charge == -4  # Ring and propionates.
 
 
 def test_a_message_names_bonds_of_metals_that_changed():
-    s = pc.load(shared(f"{CASES}/nco.pdb"), keep="all")
+    s = case("nco")
     assert not s.coordination.any()
-    s = pc.load(shared(f"{CASES}/hem_his.pdb"), keep="all")
+    s = case("hem_his")
     (row,) = np.flatnonzero(
         s.coordination & np.isin(s.bonds, np.flatnonzero(s.atom_name == "NE2")).any(axis=1)
     )
@@ -332,14 +343,26 @@ def assert_held(path, donors, metal, length):
     return len(ends)
 
 
-@pytest.mark.parametrize("is_stated", [True, False])
-@pytest.mark.parametrize("name", AXIAL)
+@pytest.mark.parametrize(
+    ("name", "is_stated"),
+    [
+        ("AZI", True),
+        ("ENC", False),
+        *(pytest.param("NBN", each, marks=pytest.mark.slow) for each in (True, False)),
+    ],
+)
 def test_azide_and_isocyanides_stay_at_the_iron_of_heme(tmp_path, name, is_stated):
     path, donor, length = heme_with(tmp_path, name, is_stated)
     assert_held(path, [donor], "Fe", length)
 
 
-@pytest.mark.parametrize("metal", ["4MO", "6MO", "MOS", "MOM"])
+@pytest.mark.parametrize(
+    "metal",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in MORE else ())
+        for name in ("4MO", "6MO", "MOS", "MOM")
+    ],
+)
 def test_molybdopterin_holds_molybdenum_by_both_sulphurs(tmp_path, metal):
     """Ions of charge 4 and 6, and oxides."""
     sulphurs = ["S1'", "S2'"]

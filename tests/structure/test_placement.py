@@ -85,14 +85,9 @@ def test_hydrogens_of_an_amide_lie_in_its_plane_the_last_one_opposite():
 @pytest.mark.parametrize("element", ["C", "N"])
 def test_hydrogens_of_a_methyl_are_staggered_against_a_heavy_atom(element):
     atoms = [
-        (element, [0.0, 0, 0]),
-        ("C", NEAR),
-        ("H", LIGHT),
-        ("C", HEAVY),
+        (element, [0.0, 0, 0]), ("C", NEAR), ("H", LIGHT), ("C", HEAVY), ("H", None), ("H", None),
         ("H", None),
-        ("H", None),
-        ("H", None),
-    ]
+    ]  # fmt: skip
     bonds = [(0, 1), (1, 2), (1, 3), (0, 4), (0, 5), (0, 6)]
     at(placed(atoms, *bonds)[4:], LENGTH[element] * around(109.5, (180, 300, 60)))
     # Without a heavy atom behind, against the first hydrogen, here along z.

@@ -70,12 +70,9 @@ def test_every_sample_is_the_same_system_again(name, tmp_path):
 
 
 CHOSEN = (
-    "3znf_zinc_finger.pdb",
-    "5vav_cyclic.pdb",
-    "3u7t_crambin_neutron.cif",
-    "3al1_caps_altloc.pdb",
+    "3znf_zinc_finger.pdb", "5vav_cyclic.pdb", "3u7t_crambin_neutron.cif", "3al1_caps_altloc.pdb",
     "1orc_icode.pdb",
-)
+)  # fmt: skip
 """Metals, ring, deuterium, alternates and caps, insertion codes."""
 
 

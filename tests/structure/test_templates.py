@@ -87,15 +87,8 @@ def test_water_ions_caps_and_nucleotides_are_known():
     assert list(methylamide.element) == ["N", "H", "C", "H1", "H2", "H3"]
     # H1 is a methyl hydrogen here, not the amide's.
     expected = {
-        "NT": "N",
-        "HNT": "H",
-        "HN": "H",
-        "CH3": "C",
-        "CA": "C",
-        "CT": "C",
-        "HH31": "H1",
-        "HH33": "H3",
-    }
+        "NT": "N", "HNT": "H", "HN": "H", "CH3": "C", "CA": "C", "CT": "C", "HH31": "H1", "HH33": "H3",
+    }  # fmt: skip
     assert expected.items() <= methylamide.synonyms.items()
     assert known["NHE"].synonyms["H1"] == known["NHE"].synonyms["1H"] == "HN1"
     assert {"DA5", "DA3", "DAN", "A", "A5", "CHIE", "NHID", "CYX"} <= known.keys()

@@ -131,6 +131,7 @@ def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
 # --- The summary, of runs made up
 
 
+@pytest.mark.slow
 def test_the_tables_of_the_pages_are_those_of_the_runs():
     """Contrasts of the results are recomputed from the runs."""
     runs = kcm.stored(RESULTS / "kcm_runs.csv")

@@ -41,11 +41,7 @@ def masks(s, *given):
 
 @pytest.mark.parametrize(
     ("name", "first", "second"),
-    [
-        ("3i40.pdb", "A", "B"),
-        pytest.param("1ysa.pdb", "C", "D", marks=pytest.mark.slow),
-        ("1ysa.pdb", "C,D", "A,B"),
-    ],
+    [pytest.param("1ysa.pdb", "C", "D", marks=pytest.mark.slow), ("1ysa.pdb", "C,D", "A,B")],
 )
 def test_the_energy_is_that_of_the_whole_without_either_side_alone(name, first, second):
     """By OpenMM's Reference platform, of files with the chains of both sides, and of either."""
@@ -425,17 +421,11 @@ def test_scores_from_errors_are_those_of_their_definitions(tmp_path, name):
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "[]",
-        "{}",
-        '{"iptm": "x"}',
-        '{"iptm": 1, "chain_pair_iptm": [[1, 2]]}',
-        '{"iptm": 1, "chain_pair_iptm": [["x"]]}',
-        '{"chain_pair_iptm": {"(A, B)": "x"}}',
-        "[" * 100_000,
+        "", "[]", "{}", '{"iptm": "x"}', '{"iptm": 1, "chain_pair_iptm": [[1, 2]]}',
+        '{"iptm": 1, "chain_pair_iptm": [["x"]]}', '{"chain_pair_iptm": {"(A, B)": "x"}}', "[" * 100_000,
     ],
     ids=range(8),
-)
+)  # fmt: skip
 def test_confidences_that_cannot_be_read_are_none(tmp_path, text):
     (tmp_path / "x.json").write_text(text)
     assert read_scores([tmp_path / "x.json"]) == Confidence(None)
@@ -553,15 +543,8 @@ def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(thre
     assert 0.5 < rows[1]["hotspot_rmsd_angstrom"] < 2.5 and rows[1]["ca_rmsd_2_angstrom"] < 1.0
     np.savez(three / "near.npz", positions=x[None], unit="nm")
     given = (
-        "--trajectory",
-        three / "near.npz",
-        "--interface",
-        "A:B",
-        "--solvent",
-        "vacuum",
-        "--workers",
-        "1",
-    )
+        "--trajectory", three / "near.npz", "--interface", "A:B", "--solvent", "vacuum", "--workers", "1",
+    )  # fmt: skip
     run("score", three / "3i40.pdb", *given, "--relax", "--csv", three / "near.csv")
     assert pd.read_csv(three / "near.csv")["clashes"].item() < 20
 
