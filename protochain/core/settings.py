@@ -113,7 +113,7 @@ _COMMENT = re.compile(r"(?:([^A-Z`:][^:]*|K): )?(.*)")
 
 
 def document_fields(kind: type[Made]) -> type[Made]:
-    """Decorate a dataclass: its docstring gets an entry for each setting, and for each field with a comment.
+    """Decorate a dataclass or NamedTuple: its docstring gets entries for settings and fields with comments.
 
     The comment is above or behind the field. It may begin with a unit, as ``nm: Distance.``, or with a shape
     and unit in place of the type, as ``(n, 3) float, nm: Positions.``
@@ -137,7 +137,7 @@ class _Documentation:
     @cached_property
     def docstring(self) -> str:
         entries: dict[str, str] = {}
-        for base in filter(is_dataclass, self.kind.__mro__):
+        for base in (self.kind, *filter(is_dataclass, self.kind.__mro__[1:])):
             for above, name, annotation, behind in _FIELD.findall(_source(base)):
                 unit, text = _COMMENT.findall(" ".join(f"{above.replace('# ', '')} {behind}".split()))[0]
                 parts = [annotation.removesuffix(" | None").strip("'\""), unit]
@@ -145,7 +145,7 @@ class _Documentation:
                 described = unit if unit.startswith("(") else ", ".join(filter(None, parts))
                 if text:
                     entries.setdefault(name, _entry_of(name, described, text))
-        for item in fields(self.kind):
+        for item in fields(self.kind) if is_dataclass(self.kind) else ():
             if item.metadata:
                 entries.setdefault(item.name, _entry(item))
         before, *sections = re.split(r"\n\n(?=\w+\n---)", inspect.cleandoc(self.text), maxsplit=1)

@@ -28,7 +28,6 @@ from protochain.mechanics.multibody.operational import row_loads
 
 CLOSED_NM = 1e-12
 """Largest error of a distance after a step, about a hundred times the rounding error of coordinates."""
-_ITERATIONS = 50
 
 
 @document_fields
@@ -128,7 +127,7 @@ class Closure:
         g = row_matrix(self.tree, at.factors.frames, rows)
         inverse = factor_closed(operational_inverse(self.tree, at.factors.frames, rows))
         impulse = np.zeros(len(g))
-        for _ in range(_ITERATIONS):
+        for _ in range(50):
             q, end, factors = drift(at, p - g.T @ impulse, time_step)
             error = self.errors(factors.frames)
             if np.max(np.abs(error)) < CLOSED_NM:

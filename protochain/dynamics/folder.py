@@ -12,7 +12,7 @@ import numpy as np
 from protochain.core.arrays import Floats, freeze
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, json_text, write_text, writing
+from protochain.core.storage import check_writable, writing
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
 from protochain.mechanics.motion.system import Phase
@@ -21,7 +21,6 @@ from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.results.run_folder import GrowingTable, refuse_earlier, remove_files
 from protochain.structure import Structure
 from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory
-from protochain.structure.write import common_suffix
 
 CHECKPOINT = "checkpoint.npz"
 _OUTPUTS = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
@@ -103,7 +102,8 @@ class Folder:
                 contents.array(name, constant.shape)
             n_listed = len(contents.arrays["lists_at"])
             lists_at = contents.array("lists_at", (structure.n_atoms if n_listed else 0, 3))
-            self.stored = values = {name: contents.count(name) for name in _COUNTED}
+            counted = ("step", "frames", "trajectory_bytes", "log_bytes")
+            self.stored = values = {name: contents.count(name) for name in counted}
         # All is read before any file is changed, so that a refused run does not change its folder.
         log = self.log_part if self.log_part.exists() else self.log
         text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
@@ -178,14 +178,6 @@ class Folder:
             self._frames.finish_at(self.stored["frames"], self.stored["trajectory_bytes"])
         return f"{self.stored['frames']} frames, and the state to resume from step {self.stored['step']}"
 
-    def last(self, structure: Structure) -> Path:
-        """Path of the final structure: PDB if the format allows it, otherwise mmCIF."""
-        return self.path / f"last{common_suffix([structure])}"
-
-    def summarise(self, record: Mapping[str, Any]) -> None:
-        """Write ``summary.json``."""
-        write_text(self.path / "summary.json", json_text(record))
-
 
 @contextmanager
 def rescue_on_failure(folder: Folder | None) -> Iterator[None]:
@@ -197,9 +189,6 @@ def rescue_on_failure(folder: Folder | None) -> Iterator[None]:
         if not saved:
             raise error.with_saved("nothing") from error
         raise error.with_saved(saved, "continue with ", Argument("resume", True)) from error
-
-
-_COUNTED = ("step", "frames", "trajectory_bytes", "log_bytes")
 
 
 def _state(tree: Tree, contents: Checkpoint) -> State:

@@ -19,10 +19,6 @@ _LEAST = 1e-9
 """nm. At shorter distances the direction between the places is rounding, and the force is 0."""
 
 
-_SMALLEST_RESPONSE = 1e-9
-"""Share of the response of a distance without loops. Smaller responses are rounding."""
-
-
 @dataclass(frozen=True, eq=False)
 class MovingSpring:
     """Spring E = k/2 (r - l)^2 between two points, with l = l0 + v t, at least 0.
@@ -127,7 +123,6 @@ def check_pull(pull: Pull, chain: Chain) -> None:
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
     """Spring of these settings for a chain that starts at q, with its rest length there."""
     # Its places are centres of mass, with one point for each body that has atoms of them.
-    check_pull(pull, chain)
     mass = chain.structure.atom_mass
     body, local, share = list[int](), list[Floats](), list[float]()
     for atoms, sign in zip(places_of(pull, chain.structure), (-1.0, 1.0), strict=True):
@@ -150,7 +145,8 @@ def refuse_fixed(pull: Pull, spring: MovingSpring, system: System, structure: St
     factors = system.factors(q)
     torque = spring.gradient(factors.frames)
     free, constrained = solve(factors, torque), system.constraint.project_velocities(factors, torque)
-    if torque @ constrained < _SMALLEST_RESPONSE * (torque @ free):
+    # A smaller share of the response without loops is rounding.
+    if torque @ constrained < 1e-9 * (torque @ free):
         raise ChainError(
             f"{structure.name}: pull {pull}: closed loops fix this distance; give other places, or open loops"
         )

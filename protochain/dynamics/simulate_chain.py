@@ -23,13 +23,13 @@ from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import abridge
 from protochain.core.processors import one_blas_thread
 from protochain.core.settings import document_settings, settings_from
-from protochain.core.storage import claim_folder
+from protochain.core.storage import claim_folder, json_text, write_text
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.folder import Folder, check_folder, constants_of, rescue_on_failure
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.integrators import INTEGRATORS
-from protochain.dynamics.loop import Ending, Propagator, State, advance, has_free_roots, initial
+from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential, fixman
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_fixed
@@ -39,8 +39,10 @@ from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
 from protochain.mechanics.motion.system import Potential, StepTooLargeError, System, total
+from protochain.mechanics.multibody import HingeKind
 from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
+from protochain.structure.write import common_suffix
 
 
 @document_settings(SimulationSettings, RunSettings)
@@ -255,7 +257,8 @@ def _holder(chain: Chain, settings: SimulationSettings) -> str:
     """Roots or restraints that fix the molecule in space, or an empty text if it can move as one."""
     if any(restraint.is_external for restraint in settings.restraints):
         return "restraints of positions"
-    return "" if has_free_roots(chain.tree) else "a fixed root"
+    is_free = np.all(chain.tree.kind[chain.tree.parent < 0] == HingeKind.FREE)
+    return "" if is_free else "a fixed root"
 
 
 def _constant(constants: Mapping[str, Floats], name: str, default: Floats) -> Floats:
@@ -311,10 +314,11 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         trajectory=None if folder is None else folder.trajectory,
     )  # fmt: skip
     if folder:
-        if result.n_steps or not (folder.path / "summary.json").exists():  # Of the run that made the steps.
-            folder.summarise(result.record())
+        summary = folder.path / "summary.json"
+        if result.n_steps or not summary.exists():  # Of the run that made the steps.
+            write_text(summary, json_text(result.record()))
         if result.is_sound:
-            result.save(folder.last(structure))
+            result.save(folder.path / f"last{common_suffix([structure])}")
     return result
 
 

@@ -21,8 +21,6 @@ from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 from protochain.dynamics.simulate_chain import simulate
 
 _COORDINATE = instance(Restraint, 'pc.Restraint("dihedral", ("phi A:3",), 0, 0, 100)')
-_CENTRE_TOLERANCE = 1e-6
-"""Degrees or angstrom. Nearer centres count as equal."""
 
 
 @check_arguments(coordinate=_COORDINATE, n_equilibrate=at_least(0), temperature=quantity("kelvin"))
@@ -151,7 +149,8 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     if np.isinf(circle) and at[0] < 0.0:
         raise refusal("centres", f"{at[0]:g}", "give distances of 0 or more")
     gaps = np.diff(at, append=at[0] + circle)
-    if np.min(gaps) < _CENTRE_TOLERANCE:
+    # Nearer centres count as equal.
+    if np.min(gaps) < 1e-6:
         near = int(np.argmin(gaps))
         pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"
         full_circle = " or more than a full circle apart" if np.isfinite(circle) else ""

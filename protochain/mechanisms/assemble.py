@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import brief, optional
 from protochain.core.errors import BodyError, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
@@ -27,26 +28,20 @@ NOWHERE = (0.0, 0.0, 0.0)
 _OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Body(Named, noun="body"):
-    """A body. Without a hinge it is free.
+    """A body. Without a hinge it is free."""
 
-    name: Name.
-    mass: Mass. Zero if a body further out has some that its hinge moves.
-    com (3,): Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
-    inertia: Tensor about the centre of mass, or its diagonal, or one moment for all axes.
-    position, rotation (3,): Origin of a free body at the start, and its axes in the world, as columns.
-    velocity, spin (3,): Velocity of the origin of a free body, and its angular velocity, world axes.
-    armature: Inertia that a free body has in addition in all of its six freedoms, without weight.
-    """
-
-    mass: float
+    mass: float  # Mass. Zero if a body further out has some that its hinge moves.
+    # (3,) float: Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
     com: Any = NOWHERE
-    inertia: Any = 0.0
-    position: Any = None
-    rotation: Any = None
-    velocity: Any = None
-    spin: Any = None
+    inertia: Any = 0.0  # Tensor about the centre of mass, or its diagonal, or one moment for all axes.
+    position: Any = None  # (3,) float, optional: Origin of a free body at the start.
+    rotation: Any = None  # (3, 3) float, optional: Axes of a free body in the world, as columns.
+    velocity: Any = None  # (3,) float, optional: Velocity of the origin of a free body, world axes.
+    spin: Any = None  # (3,) float, optional: Angular velocity of a free body, world axes.
+    # Inertia that a free body has in addition in all of its six freedoms, without weight.
     armature: float = 0.0
     nominal: ClassVar[bool] = False
 
@@ -63,29 +58,22 @@ class NominalBody(Body):
     nominal: ClassVar[bool] = True
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Hinge(Named, noun="hinge"):
-    """A hinge, which joins a body to its parent.
+    """A hinge, which joins a body to its parent. A body has one inward hinge."""
 
-    name: Name.
-    parent, child: Bodies. The parent may be "world". A body has one inward hinge.
-    kind: Kind of its motion.
-    at, axis (3,): Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
-    rotation (3, 3): Axes of the child at q = 0, as columns, in the axes of the parent. Equal by default.
-    q, qd: Coordinate and rate at the start. A ball has a rotation vector, and the child's angular velocity.
-    pitch: Slide of a screw per radian.
-    armature: Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
-    """
-
-    parent: str
-    child: str
-    kind: str = "revolute"
-    at: Any = NOWHERE
-    axis: Any = (0.0, 0.0, 1.0)
+    parent: str  # Body, or "world".
+    child: str  # Body.
+    kind: str = "revolute"  # Kind of its motion: ``revolute``, ``prismatic``, ``screw``, ``ball``, ``fixed``.
+    at: Any = NOWHERE  # (3,) float: Origin of the child at q = 0, in the parent's axes.
+    axis: Any = (0.0, 0.0, 1.0)  # (3,) float: Axis of the hinge, in the parent's axes.
+    # (3, 3) float, optional: Axes of the child at q = 0, as columns, in the parent's axes. Equal by default.
     rotation: Any = None
-    q: Any = 0.0
-    qd: Any = 0.0
-    pitch: float = 0.0
+    q: Any = 0.0  # Coordinate at the start, of a ball a rotation vector.
+    qd: Any = 0.0  # Rate at the start, of a ball the child's angular velocity.
+    pitch: float = 0.0  # Slide of a screw per radian.
+    # Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
     armature: float = 0.0
 
     def __post_init__(self) -> None:

@@ -40,15 +40,16 @@ class NamedLoad:
 class Assembly:
     """Bodies, the elements that act on them, and the start. See :class:`Model`."""
 
-    bodies: Bodies
-    q: Floats
-    qd: Floats
-    conservative: tuple[Conservative, ...] = ()
-    loads: tuple[NamedLoad, ...] = ()
+    bodies: Bodies  # Bodies by name, with their tree.
+    q: Floats  # (n_q,) float: Coordinates at the start.
+    qd: Floats  # (n_v,) float: Velocities at the start.
+    conservative: tuple[Conservative, ...] = ()  # Elements with an energy, by kind.
+    loads: tuple[NamedLoad, ...] = ()  # Loads by name.
+    # Time -> coordinates, rates and accelerations of the driven hinges, in the order of the tree.
     drive: Drive | None = None
-    events: tuple[Event, ...] = ()
-    inside: bool = False
-    memories: tuple[Memory, ...] = ()
+    events: tuple[Event, ...] = ()  # Events.
+    inside: bool = False  # Whether nothing acts from outside, so that momentum and spin are conserved.
+    memories: tuple[Memory, ...] = ()  # Memories of elements from step to step.
 
     @property
     def tree(self) -> Tree:
@@ -244,10 +245,11 @@ def _column(k: int, doc: str) -> "cached_property[Floats]":
 class Motion:
     """Rows of a motion, as arrays that are made at first use. See :class:`Run`."""
 
-    model: Assembly
-    rows: Sequence[Row]
-    events: tuple[Happened, ...]
-    end: Phase
+    model: Assembly  # The mechanism.
+    rows: Sequence[Row]  # Phases, without their factors.
+    events: tuple[Happened, ...]  # Events that happened.
+    end: Phase  # Phase at the end, from which :meth:`Model.simulate` can go on.
+    # Contents of the model's memories at each row, empty without memories.
     kept: Sequence[tuple[Any, ...]] = ()
 
     time = _column(0, "(n,) float: times of the rows.")

@@ -9,6 +9,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import optional
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody import Frames, algebra
 from protochain.mechanics.multibody.algebra import ZERO, Vector, add, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import WORLD, end_of
@@ -22,6 +23,7 @@ HALF_A_TURN = 3.1
 """rad. Largest rotation of a bushing: at pi its rotation vector jumps to the other side."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Bushing(Between, noun="bushing"):
     """Elastic joint of two bodies, at rest if the points meet, turned as built.
@@ -31,25 +33,17 @@ class Bushing(Between, noun="bushing"):
     the second's. The gradient along a rotation omega is exp's tangent transposed, dexp_theta^-T K_r theta, so
     that the energy is exact for large rotations, up to half a turn.
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    a, b : tuple of str and (3,) array_like
-        Body, or "world", and a point of it.
-    stiffness, damping : (6,) array_like
-        Of three rotations, by the rotation vector of a in b, and of three translations, in b's axes.
-    rotation : (3, 3) array_like, optional
-        Axes of b, as columns, in the axes of a, at which the bushing is at rest. By default as built.
-
     Raises
     ------
     MechanicsError
         If the name is already in use, or a constant is negative.
     """
 
+    # (6,) float: Of three rotations, by the rotation vector of a in b, and three translations, in b's axes.
     stiffness: Any
-    damping: Any = 0.0
+    damping: Any = 0.0  # (6,) float: As the stiffness, by rates.
+    # (3, 3) float, optional: Axes of b, as columns, in the axes of a, at which the bushing is at rest. By
+    # default as built.
     rotation: Any = None
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import brief, optional
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
@@ -42,24 +43,10 @@ _CONTRADICTED = 1e-6
 """Rate at which a loop opens, relative to the largest rate, above which it is not rounding."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Closing(Between, noun="closing"):
-    """A joint that closes a loop. Bodies turn about it as they lie when built.
-
-    Parameters
-    ----------
-    name : str
-        Name.
-    a, b : tuple of str and (3,) array_like
-        Body, or "world", and a point of it. Both points meet.
-    kind : {"revolute", "spherical", "universal", "cylindrical", "prismatic", "planar", "rigid"}
-        Freedoms of the joint. Redundant joints are allowed, as revolute ones in a plane.
-    axis : (3,) array_like
-        Its axis in the axes of a. The normal of the plane of ``planar``, the arm of a of ``universal``.
-    axis_b : (3,) array_like, optional
-        Of ``universal`` only: the arm of b, at right angles to the axis, in the axes of b.
-    rotation : (3, 3) array_like, optional
-        Of ``rigid`` only: axes of b, as columns, in the axes of a. By default as built.
+    """A joint that closes a loop: both points meet. Bodies turn about it as they lie when built.
 
     Raises
     ------
@@ -67,9 +54,15 @@ class Closing(Between, noun="closing"):
         If the name is already in use, or an argument is invalid.
     """
 
+    # Freedoms of the joint: ``revolute``, ``spherical``, ``universal``, ``cylindrical``, ``prismatic``,
+    # ``planar`` or ``rigid``. Redundant joints are allowed, as revolute ones in a plane.
     kind: str = "revolute"
+    # (3,) float: Its axis in the axes of a. The normal of the plane of ``planar``, the arm of a of
+    # ``universal``.
     axis: Any = (0.0, 0.0, 1.0)
+    # (3,) float, optional: Of ``universal`` only: the arm of b, at right angles to the axis, in b's axes.
     axis_b: Any = None
+    # (3, 3) float, optional: Of ``rigid`` only: axes of b, as columns, in the axes of a. By default as built.
     rotation: Any = None
 
     def __post_init__(self) -> None:

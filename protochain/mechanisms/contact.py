@@ -153,28 +153,16 @@ def real_restitution(loss: float) -> float:
     return float(brentq(excess, 0.0, min(loss, 1.0 - 1e-16), xtol=1e-16)) / loss
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Contact(Named, noun="contact"):
-    """Balls that touch a plane, a surface, other balls or each other.
+    """Balls that touch a plane, a surface, other balls or each other."""
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    balls : sequence of Ball
-        Balls, or points, fixed in bodies. Those of one body do not touch each other.
-    other : Plane, Surface, sequence of Ball or None
-        Obstacle of the balls. None for each other.
-    law : Law
-        Normal force.
-    friction : Friction, optional
-        Tangential force, none by default.
-    """
-
+    # Balls, or points, fixed in bodies. Those of one body do not touch each other.
     balls: Sequence[Ball]
-    other: Other
-    law: Law
-    friction: Friction | None = None
+    other: Other  # Obstacle of the balls: Plane, Surface, sequence of Ball, or None for each other.
+    law: Law  # Normal force.
+    friction: Friction | None = None  # Tangential force, none by default.
 
     def __post_init__(self) -> None:
         self.fix(balls=self._balls(self.balls, "balls"))

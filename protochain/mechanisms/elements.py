@@ -20,9 +20,6 @@ from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import numbers
 
-Point = tuple[str, ArrayLike]
-"""Name of a body, or "world", and a point in its axes."""
-
 
 class Conservative(Protocol):
     """Elements of one kind, whose forces are minus the gradient of an energy."""
@@ -114,12 +111,13 @@ class Named:
             self.fix(**{name: check(getattr(self, name), f"{self.label}: its {name}")})
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Between(Named):
-    """Element between points of two bodies, each a body, or "world", and a point of it."""
+    """Element between points of two bodies."""
 
-    a: Point
-    b: Point
+    a: tuple[str, ArrayLike]  # Body, or "world", and a point of it, (3,).
+    b: tuple[str, ArrayLike]  # Body, or "world", and a point of it, (3,).
 
     def __post_init__(self) -> None:
         for end in (self.a, self.b):
@@ -137,16 +135,10 @@ class Between(Named):
         return read_only([ends], np.int64), read_only([np.concatenate(points)])
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class CustomForce(Named, noun="force"):
     """User-defined forces, as the forces of contacts are.
-
-    Parameters
-    ----------
-    name : str
-        Name.
-    element : Element or Load
-        Object whose ``bind`` makes forces, with the bodies of the model, or a load as it is.
 
     Raises
     ------
@@ -154,6 +146,7 @@ class CustomForce(Named, noun="force"):
         If the name is already in use, or the element has no ``bind``.
     """
 
+    # Object whose ``bind`` makes forces, with the bodies of the model, or a load as it is.
     element: Element | Load
 
     def __post_init__(self) -> None:

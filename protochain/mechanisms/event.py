@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import Equations, Integrator, Phase
 from protochain.mechanisms.bodies import State
 from protochain.mechanisms.element_arguments import answer
@@ -19,22 +20,13 @@ _SHORTEST = 2.0**-30
 """Shortest time between two events of one kind, relative to the time step."""
 
 
+@document_fields
 class Happened(NamedTuple):
-    """An event that has happened.
+    """An event that has happened."""
 
-    Parameters
-    ----------
-    time : float
-        When.
-    name : str
-        Its name.
-    energy : float
-        Kinetic energy that its jump gave, negative if it took some.
-    """
-
-    time: float
-    name: str
-    energy: float
+    time: float  # When.
+    name: str  # Its name.
+    energy: float  # Kinetic energy that its jump gave, negative if it took some.
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +42,10 @@ class Watched:
     passes: bool = False
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Event(Named, noun="event"):
     """Something that happens when a value falls through zero.
-
-    Parameters
-    ----------
-    name : str
-        Name.
-    value : callable
-        :class:`State` -> float, positive before the event.
-    jump : callable
-        :class:`State` -> velocities (n_v,) from which the motion goes on, or None if it goes on as it was.
-    passes : bool
-        Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
 
     Raises
     ------
@@ -71,8 +53,11 @@ class Event(Named, noun="event"):
         If the name is already in use, or a callable is not a function.
     """
 
-    value: Callable[..., float]
+    value: Callable[..., float]  # Function of the :class:`State`, positive before the event.
+    # Function of the :class:`State`, whose velocities (n_v,) the motion goes on with, or None if it goes on
+    # as it was.
     jump: Callable[..., Any]
+    # Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
     passes: bool = False
 
     def __post_init__(self) -> None:

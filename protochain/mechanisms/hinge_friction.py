@@ -8,6 +8,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.assembly import Assembly
@@ -18,6 +19,7 @@ from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.reactions import transmitted_forces
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class HingeFriction(Named, noun="friction"):
     """Friction in a hinge, whose work is dissipation: -(T + mu r N) tanh(qd / v) - c qd.
@@ -25,31 +27,19 @@ class HingeFriction(Named, noun="friction"):
     N is the force across the axis that the hinge transmits. Its moments across the axis press on nothing.
     A hinge that would stick creeps, at less than the speed v.
 
-    Parameters
-    ----------
-    name, hinge : str
-        Name of the friction, and name of the hinge.
-    torque : float
-        Constant part T of Coulomb's friction, a force at a slide.
-    coefficient, radius : float
-        Coefficient mu, and radius r of the pin. A slide has no radius.
-    damping : float
-        Torque by rate c, of viscous friction.
-    speed : float
-        Rate v within which Coulomb's friction changes its sign: far below the motion's rates, and far above
-        the resolution of a step.
-
     Raises
     ------
     MechanicsError
         If the name is already in use, it does nothing, or a constant is negative.
     """
 
-    hinge: str
-    torque: float = 0.0
-    coefficient: float = 0.0
-    radius: float = 1.0
-    damping: float = 0.0
+    hinge: str  # Name of the hinge.
+    torque: float = 0.0  # Constant part T of Coulomb's friction, a force at a slide.
+    coefficient: float = 0.0  # Coefficient mu.
+    radius: float = 1.0  # Radius r of the pin. A slide has none.
+    damping: float = 0.0  # Torque by rate c, of viscous friction.
+    # Rate v within which Coulomb's friction changes its sign: far below the motion's rates, and far above the
+    # resolution of a step.
     speed: float = 1e-3
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import optional
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import Applied
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
@@ -17,20 +18,10 @@ from protochain.mechanisms.elements import Acting, Named, Rows
 from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, check_constants
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Torsion(Named, noun="torsion"):
     """Spring, damper, or both, on the angle or slide of a hinge, with energy k (q - rest)^2 / 2.
-
-    Parameters
-    ----------
-    name, hinge : str
-        Name of the torsion, and name of the hinge.
-    stiffness : float
-        Torque per radian (force per length).
-    rest : float, optional
-        Coordinate without torque. None is the coordinate as built.
-    damping : float
-        Torque per rate.
 
     Raises
     ------
@@ -38,10 +29,10 @@ class Torsion(Named, noun="torsion"):
         If the name is already in use, or a constant is negative.
     """
 
-    hinge: str
-    stiffness: float = 0.0
-    rest: float | None = 0.0
-    damping: float = 0.0
+    hinge: str  # Name of the hinge.
+    stiffness: float = 0.0  # Torque per radian (force per length).
+    rest: float | None = 0.0  # Coordinate without torque. None is the coordinate as built.
+    damping: float = 0.0  # Torque per rate.
 
     def __post_init__(self) -> None:
         check_constants(self)
@@ -74,20 +65,10 @@ class Torsions(Rows):
         slow(self.freedoms, self.constants, qd, torques)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Stop(Named, noun="stop"):
     """Stops of a hinge: a spring and a damper beyond its limits, which push back and never pull.
-
-    Parameters
-    ----------
-    name, hinge : str
-        Name of the stop, and name of the hinge.
-    low, high : float
-        Limits of its coordinate. By default none.
-    stiffness : float
-        Torque by angle beyond a limit (force by length).
-    damping : float
-        Torque by rate there.
 
     Raises
     ------
@@ -95,11 +76,11 @@ class Stop(Named, noun="stop"):
         If the name is already in use, there are no limits, or a constant is negative.
     """
 
-    hinge: str
-    low: float = -np.inf
-    high: float = np.inf
-    stiffness: float = 0.0
-    damping: float = 0.0
+    hinge: str  # Name of the hinge.
+    low: float = -np.inf  # Lower limit of its coordinate. By default none.
+    high: float = np.inf  # Upper limit of its coordinate. By default none.
+    stiffness: float = 0.0  # Torque by angle beyond a limit (force by length).
+    damping: float = 0.0  # Torque by rate there.
 
     def __post_init__(self) -> None:
         label = f"{self.label}: its"

@@ -10,6 +10,7 @@ from scipy.linalg import cholesky, eigh, null_space, solve_triangular, svdvals
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
 from protochain.mechanics.multibody import HingeKind
@@ -51,23 +52,14 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
     return _about(model, at)[0]
 
 
+@document_fields
 class Linear(NamedTuple):
-    """Small motions dx/dt = A x + B u with outputs y = y0 + C x + D u.
+    """Small motions dx/dt = A x + B u with outputs y = y0 + C x + D u."""
 
-    Parameters
-    ----------
-    a : (2 k, 2 k) float
-        As of :func:`state_matrix`.
-    b : (2 k, n) float
-        Of each input.
-    c, d : (m, 2 k) and (m, n) float
-        Of each output.
-    """
-
-    a: Floats
-    b: Floats
-    c: Floats
-    d: Floats
+    a: Floats  # (2 k, 2 k) float: As of :func:`state_matrix`.
+    b: Floats  # (2 k, n) float: Of each input.
+    c: Floats  # (m, 2 k) float: Of each output.
+    d: Floats  # (m, n) float: Of each output.
 
 
 def linearise(

@@ -8,6 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import optional
 from protochain.core.errors import Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.multibody import Frames, algebra
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import end_of
@@ -28,22 +29,10 @@ def check_constants(element: Any) -> None:
         )
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Spring(Between, noun="spring"):
     """Spring, damper, or both, between two points: energy k (length - rest)^2 / 2, force along the line.
-
-    Parameters
-    ----------
-    name : str
-        Name.
-    a, b : tuple of str and (3,) array_like
-        Body, or "world", and a point of it.
-    stiffness : float
-        Force per length.
-    rest : float, optional
-        Length without force. By default the length as built.
-    damping : float
-        Force per speed, along the line.
 
     Raises
     ------
@@ -51,9 +40,9 @@ class Spring(Between, noun="spring"):
         If the name is already in use, or a constant is negative.
     """
 
-    stiffness: float = 0.0
-    rest: float | None = None
-    damping: float = 0.0
+    stiffness: float = 0.0  # Force per length.
+    rest: float | None = None  # Length without force. By default the length as built.
+    damping: float = 0.0  # Force per speed, along the line.
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import Check
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
@@ -21,18 +22,10 @@ from protochain.mechanisms.element_arguments import answer, number, numbers
 from protochain.mechanisms.elements import Acting, Named
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class AppliedForce(Named, noun="load"):
     """Force at a point of a body, a moment, or both.
-
-    Parameters
-    ----------
-    name, body : str
-        Name of the load, and name of the body.
-    at : (3,) array_like
-        Point of the body at which the force acts.
-    force, moment : (3,) array_like or callable, optional
-        Along world axes, or a function of the time, or of the time and the :class:`State`, that returns it.
 
     Raises
     ------
@@ -40,10 +33,12 @@ class AppliedForce(Named, noun="load"):
         If the name is already in use, or nothing acts.
     """
 
-    body: str
-    at: ArrayLike = (0.0, 0.0, 0.0)
+    body: str  # Name of the body.
+    at: ArrayLike = (0.0, 0.0, 0.0)  # (3,) float: Point of the body at which the force acts.
+    # (3,) float or callable, optional: Force along world axes, or a function of the time, or of the time and
+    # the :class:`State`, that returns it.
     force: Any = None
-    moment: Any = None
+    moment: Any = None  # (3,) float or callable, optional: Moment, as the force.
 
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
@@ -73,16 +68,10 @@ class AppliedForce(Named, noun="load"):
         return Acting(load=Load(apply, by_force or by_moment))
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class HingeTorque(Named, noun="torque"):
     """Torque at a hinge, between parent and child, or a force at a slide.
-
-    Parameters
-    ----------
-    name, hinge : str
-        Name of the torque, and name of the hinge.
-    value : float or callable
-        Torque, or a function of the time, or of the time and the :class:`State`, that returns it.
 
     Raises
     ------
@@ -90,8 +79,8 @@ class HingeTorque(Named, noun="torque"):
         If the name is already in use.
     """
 
-    hinge: str
-    value: Any
+    hinge: str  # Name of the hinge.
+    value: Any  # Torque, or a function of the time, or of the time and the :class:`State`, that returns it.
 
     def __post_init__(self) -> None:
         self.check(value=partial(_law, check=number))

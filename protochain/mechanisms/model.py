@@ -9,6 +9,7 @@ import numpy as np
 from protochain.core.checks import brief
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics.motion import DormandPrince, Integrator, Phase, RungeKutta4, StepTooLargeError
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.tree import ARMATURE
@@ -34,29 +35,10 @@ _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Model(Assembly):
-    """Mechanism that no later change reaches, made by :meth:`Mechanism.build`.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        Bodies by name, with their tree.
-    q, qd : (n_q,) and (n_v,) float
-        Coordinates and velocities at the start.
-    conservative : tuple of Conservative
-        Elements with an energy, by kind.
-    loads : tuple of NamedLoad
-        Loads by name.
-    drive : callable, optional
-        Time -> coordinates, rates and accelerations of the driven hinges, in the order of the tree.
-    events : tuple of Event
-        Events.
-    inside : bool
-        Whether nothing acts from outside, so that momentum and spin are conserved.
-    memories : tuple of Memory
-        Memories of elements from step to step.
-    """
+    """Mechanism that no later change reaches, made by :meth:`Mechanism.build`."""
 
     def simulate(
         self,

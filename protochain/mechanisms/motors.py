@@ -9,6 +9,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Drive
 from protochain.mechanics.multibody import Frames
@@ -45,6 +46,7 @@ class Driven(Named, noun="drive of hinge"):
         return q, qd, qdd
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Motor(Named, noun="motor"):
     """Motors of hinges that follow a motion: torques of a PD controller, and feed-forward.
@@ -53,30 +55,18 @@ class Motor(Named, noun="motor"):
     bodies and their weight. There all followed hinges are at q*, qd*, qdd*, the others as they are without
     acceleration: it knows nothing of springs, loads and loops.
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    follow : mapping
-        Hinge -> time -> coordinate, rate and acceleration, or a constant coordinate.
-    stiffness, damping : float
-        Gains k and c, of every hinge.
-    feed_forward : bool
-        Whether inverse dynamics is added.
-    limit : float
-        Largest torque of a hinge.
-
     Raises
     ------
     MechanicsError
         If the name is already in use, no hinge is followed, or a constant is negative.
     """
 
+    # Hinge -> function of the time that returns coordinate, rate and acceleration, or a constant coordinate.
     follow: Mapping[str, Any]
-    stiffness: float = 0.0
-    damping: float = 0.0
-    feed_forward: bool = False
-    limit: float = np.inf
+    stiffness: float = 0.0  # Gain k, of every hinge.
+    damping: float = 0.0  # Gain c, of every hinge.
+    feed_forward: bool = False  # Whether inverse dynamics is added.
+    limit: float = np.inf  # Largest torque of a hinge.
 
     def __post_init__(self) -> None:
         label = f"{self.label}: its"

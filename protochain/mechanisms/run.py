@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanisms import pictures
 from protochain.mechanisms import reactions as hinge_forces
@@ -18,46 +19,26 @@ ROUNDED = 1e3 * float(np.finfo(float).eps)
 """Rounding error, relative to the stored energy."""
 
 
+@document_fields
 class Audit(NamedTuple):
-    """Errors of the balances, each relative to the largest of its kind in the run.
+    """Errors of the balances, each relative to the largest of its kind in the run."""
 
-    Parameters
-    ----------
-    energy : float
-        Largest change of energy that is neither work nor an event's, relative to the most in motion. If
-        nothing moves, relative to the stored energy.
-    momentum, spin : float or None
-        Largest change of momentum, and of spin about the origin, relative to the sum over the bodies. None if
-        something acts from outside, as the jump of an event that does not pass may.
-    gap, parting : float or None
-        Largest error of a loop, a cosine or length by the size of the tree, and its largest rate, relative
-        to the fastest hinge. None without loops.
-    """
-
+    # Largest change of energy that is neither work nor an event's, relative to the most in motion. If nothing
+    # moves, relative to the stored energy.
     energy: float
+    # Largest change of momentum, relative to the sum over the bodies. None if something acts from outside, as
+    # the jump of an event that does not pass may.
     momentum: float | None
-    spin: float | None
+    spin: float | None  # Largest change of spin about the origin, as of momentum.
+    # Largest error of a loop, a cosine or length by the size of the tree. None without loops.
     gap: float | None = None
-    parting: float | None = None
+    parting: float | None = None  # Largest rate of this error, relative to the fastest hinge.
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class Run(Motion):
-    """Motion of a mechanism. Its arrays are made at first use.
-
-    Parameters
-    ----------
-    model : Model
-        The mechanism.
-    rows : sequence of Row
-        Phases, without their factors.
-    events : tuple of Happened
-        Events that happened.
-    end : Phase
-        Phase at the end, from which :meth:`Model.simulate` can go on.
-    kept : sequence of tuple
-        Contents of the model's memories at each row, empty without memories.
-    """
+    """Motion of a mechanism. Its arrays are made at first use."""
 
     @cached_property
     def table(self) -> "pd.DataFrame":

@@ -49,19 +49,13 @@ class StepTooLargeError(ProtochainError):
     fault = Fault.STEP
 
 
+@document_fields
 class Applied(NamedTuple):
-    """What loads do at one moment.
+    """What loads do at one moment."""
 
-    Parameters
-    ----------
-    wrenches : (nb, 6) float, optional
-        Moment on each body about the origin of its frame, and force, along world axes.
-    torques : (n_v,) float, optional
-        Torques (forces) at the hinges.
-    """
-
+    # (nb, 6) float, optional: Moment on each body about the origin of its frame, and force, along world axes.
     wrenches: Floats | None = None
-    torques: Floats | None = None
+    torques: Floats | None = None  # (n_v,) float, optional: Torques (forces) at the hinges.
 
 
 @document_fields
@@ -352,25 +346,15 @@ class Equations:
         return displacement_rates(self.tree, move, qd)
 
 
+@document_fields
 @dataclass(frozen=True, eq=False)
 class System(Equations):
     """Forest of rigid bodies, whose velocities are M^-1 times their momenta: it can be kicked and drift.
 
     The leapfrog and the midpoint rule require such a system.
-
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    potential : callable
-        Energy and torques at q.
-    constraint : Constraint, optional
-        Constraint for the leapfrog. Other integrators ignore it.
-    loads, drive : tuple of Load, and callable, optional
-        As of :class:`Equations`.
     """
 
-    constraint: Constraint | None = None
+    constraint: Constraint | None = None  # Constraint for the leapfrog. Other integrators ignore it.
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
         """Return the phase with other velocities, on the constraint, except at driven hinges."""
