@@ -220,11 +220,6 @@ def _inertia(value: ArrayLike, label: str) -> Floats:
     return 0.5 * (matrix + matrix.T)
 
 
-def with_z_along(axis: Floats) -> Floats:
-    """(3, 3) float: axes, as columns, of which the third is along a vector of length one."""
-    return np.asarray(axes_along(axis[None])[0])
-
-
 def axes_along(axis: Floats) -> Floats:
     """(n, 3, 3) float: axes, as columns, of which the third are along vectors (n, 3) of length one."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(axis), axis=1)], axis)

@@ -13,7 +13,7 @@ from protochain.core.checks import brief, optional
 from protochain.core.errors import Fault, MechanicsError
 from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
-from protochain.mechanisms.assemble import with_z_along
+from protochain.mechanisms.assemble import axes_along
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import direction, rotation_matrix
 from protochain.mechanisms.elements import Between
@@ -32,15 +32,6 @@ _TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
     "revolute": _ALIGNED, "cylindrical": _ALIGNED, "planar": _ALIGNED, "prismatic": _LOCKED, "rigid": _LOCKED,
 }  # fmt: skip
 """Kind -> pairs of directions, of the first and the second body, that stay at right angles."""
-_ITERATIONS = 100
-_LONGEST = 0.3
-"""Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
-_TURN = 0.5
-"""rad. Largest step of a rotation on the way to a closed loop."""
-_ASIDE = 0.05
-"""Displacement at which ranks are compared, in radians and sizes of the tree."""
-_CONTRADICTED = 1e-6
-"""Rate at which a loop opens, relative to the largest rate, above which it is not rounding."""
 
 
 @document_fields
@@ -83,11 +74,12 @@ class Closing(Between, noun="closing"):
         """Return its equations."""
         (ends,), (points,) = self.ends(bodies)
         # Axes of the joint in the world as built, then in the frame of each body.
-        world = bodies.built.rotation(self.a[0]) @ with_z_along(self.axis)
+        turn = axes_along(self.axis[None])[0]
+        world = bodies.built.rotation(self.a[0]) @ turn
         frames = [np.eye(3) if b < 0 else bodies.built.frames.rotation[b] for b in ends]
         in_a, in_b = (frame.T @ world for frame in frames)
         if self.rotation is not None:
-            in_b = bodies.axes(int(ends[1])) @ self.rotation.T @ with_z_along(self.axis)
+            in_b = bodies.axes(int(ends[1])) @ self.rotation.T @ turn
         turns = [(in_a @ s, in_b @ t) for s, t in _TURNS.get(self.kind, ())]
         if self.axis_b is not None:
             turns.append((in_a @ Z, bodies.inside(int(ends[1]), self.axis_b)))
@@ -143,7 +135,7 @@ def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Cl
             built = bodies.built.rotation(joint.a[0]).T @ bodies.built.rotation(joint.b[0])
             turned[joint.name] = built, Rotation.from_matrix(built.T @ joint.rotation).as_rotvec()
     angles = [float(np.linalg.norm(turn)) for _, turn in turned.values()]
-    steps = max(1, int(np.ceil(max(angles, default=0.0) / _TURN)))
+    steps = max(1, int(np.ceil(max(angles, default=0.0) / 0.5)))
     for k in range(1, steps):
         way = {
             name: built @ Rotation.from_rotvec(k / steps * turn).as_matrix()
@@ -184,8 +176,8 @@ def _rank(matrix: Floats) -> int:
 
 
 def _away(moves: np.ndarray) -> Floats:
-    """Random displacement of these freedoms, the same in each call."""
-    return np.asarray(_ASIDE * np.random.default_rng(0).normal(size=len(moves)))
+    """Random displacement of these freedoms, in radians and sizes of the tree, the same in each call."""
+    return np.asarray(0.05 * np.random.default_rng(0).normal(size=len(moves)))
 
 
 def _displace(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
@@ -203,12 +195,9 @@ def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
 def _given_coordinates(bodies: Bodies) -> np.ndarray:
     """(n_v,) bool: freedoms whose coordinates are not zero, and the places of free bodies."""
     tree = bodies.tree
-    is_given = np.zeros(tree.n_v, dtype=bool)
-    for b in range(tree.n_bodies):
-        span = slice(tree.v_start[b], tree.v_start[b + 1])
-        is_given[span] = span.stop - span.start == 6 or np.any(
-            bodies.q[tree.q_start[b] : tree.q_start[b + 1]]
-        )
+    n_v = np.diff(tree.v_start)
+    moved = [np.any(q) for q in np.split(bodies.q, tree.q_start[1:-1])]
+    is_given = np.repeat((n_v == 6) | moved, n_v)
     is_given[tree.balls] = is_given[tree.balls[:, :1]]
     return is_given
 
@@ -219,7 +208,7 @@ def _assemble(
     """Coordinates that close the loops by these freedoms, or None. The worst equation, its error."""
     tree, q = bodies.tree, bodies.q
     units = np.where(joints.turns, 1.0, tree.size)
-    for _ in range(_ITERATIONS):
+    for _ in range(100):
         error = joints.rows(multibody.pose(tree, q))[0]
         worst = int(np.argmax(np.abs(error) / units))
         if abs(error[worst]) <= CLOSED * units[worst]:
@@ -227,7 +216,8 @@ def _assemble(
         if not len(moves):
             break
         step = least_change(_matrix(bodies, joints, q, moves), -error / units)
-        step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        # Newton's method goes astray by longer steps.
+        step *= min(1.0, 0.3 / max(float(np.max(np.abs(step))), 1e-300))
         q = _displace(bodies, q, moves, step)
     return None, (worst, abs(float(error[worst])))
 
@@ -244,16 +234,15 @@ def _rates(
         rates[follow] = least_change(g[:, follow], -(g @ rates))
     left = np.abs(g @ rates)
     worst = int(np.argmax(left))
-    if left[worst] > _CONTRADICTED * np.max(np.abs(rates), initial=0.0):
+    # Slower opening is rounding.
+    if left[worst] > 1e-6 * np.max(np.abs(rates), initial=0.0):
         by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
         displaced = _matrix(bodies, joints, _displace(bodies, q, follow, _away(follow)), follow)
         dead = joints.rank is None and _rank(g[:, follow]) < _rank(displaced)
         where, remedy = "", "give those of fewer hinges: the others follow"
         if dead:
-            where, remedy = (
-                "at a dead point ",
-                "start near it, or give the rate of a hinge that can turn there",
-            )
+            where = "at a dead point "
+            remedy = "start near it, or give the rate of a hinge that can turn there"
         raise MechanicsError(
             f"{labels[of[worst]]}: {where}the rates of hinges open it by {by:.3g} per time; {remedy}",
             fault=Fault.OPEN,

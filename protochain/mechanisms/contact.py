@@ -16,7 +16,7 @@ from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.element_arguments import number
 from protochain.mechanisms.elements import Acting, Named
-from protochain.mechanisms.shapes import Ball, Obstacle, Other, finder
+from protochain.mechanisms.shapes import Ball, Obstacle, OnPlane, Other, finder
 
 
 @document_fields
@@ -69,14 +69,12 @@ def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, expo
 
     Parameters
     ----------
-    stiffness : float
-        Stiffness of :class:`Law`.
+    stiffness, exponent : float
+        As of :class:`Law`.
     restitution : float
         Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
     speed : float
         Speed of approach v for which it is exact. Slower impacts lose less.
-    exponent : float
-        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -92,14 +90,10 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
 
     Parameters
     ----------
-    stiffness : float
-        Stiffness of :class:`Law`.
+    stiffness, speed, exponent : float
+        As of :func:`lankarani_nikravesh`.
     restitution : float
         Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
-    speed : float
-        Speed of approach v for which it is exact. Slower impacts lose less.
-    exponent : float
-        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -176,7 +170,6 @@ class Contact(Named, noun="contact"):
                 raise MechanicsError(f"{self.label}: {name} {brief(getattr(self, name))}: give {remedy}")
 
     def _balls(self, value: Any, name: str) -> tuple[Ball, ...]:
-        """Balls, or points."""
         balls = tuple(value) if isinstance(value, Iterable) else (None,)
         if not all(isinstance(ball, Ball) for ball in balls):
             remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
@@ -191,5 +184,8 @@ class Contact(Named, noun="contact"):
         constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
         forces = ContactForces(bodies.tree, source, read_only(constants))
         loses = law.damping > 0.0 or rub.coefficient > 0.0
-        load, memory = Load(forces.resist) if loses else None, forces if forces.must_settle else None
-        return Acting(forces, load, dissipates=loses, inside=forces.is_inside, memory=memory)
+        load = Load(forces.resist) if loses else None
+        # Anchors of friction, and balls that may pass through their obstacle, are looked at after each step.
+        memory = forces if rub.coefficient > 0.0 or not isinstance(source, OnPlane) else None
+        inside = bool((source.balls.body >= 0).all() and source.body >= 0)
+        return Acting(forces, load, dissipates=loses, inside=inside, memory=memory)

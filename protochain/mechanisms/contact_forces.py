@@ -11,7 +11,7 @@ from protochain.mechanics.multibody import Frames, Tree, algebra
 from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import end_of
 from protochain.mechanisms.linear_springs import push, speed_of
-from protochain.mechanisms.shapes import Finder, OnPlane, Touches
+from protochain.mechanisms.shapes import Finder, Touches
 
 STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 """Constants of a contact."""
@@ -37,16 +37,6 @@ class ContactForces:
         self._last: tuple[Frames, Touches] | None = None
         self._settled: Frames | None = None
         self._ended: tuple[Phase | None, Anchors] = None, NO_ANCHORS
-
-    @property
-    def must_settle(self) -> bool:
-        """Whether something is to be done after a step."""
-        return self.constants[FRICTION] > 0.0 or not isinstance(self.finder, OnPlane)
-
-    @property
-    def is_inside(self) -> bool:
-        """Whether all forces act between bodies of the mechanism."""
-        return bool((self.finder.balls.body >= 0).all() and self.finder.body >= 0)
 
     def touches(self, frames: Frames) -> Touches:
         """Touches at one pose, which are asked for by the elastic force and the load."""

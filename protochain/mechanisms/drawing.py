@@ -114,7 +114,7 @@ class Drawing(NamedTuple):
 def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
     """Return what there is to draw of rows of a run."""
     model, bodies = run.model, run.model.bodies
-    outlines = tuple(_default_shapes(model) if shapes is None else _check_shapes(shapes, bodies))
+    drawn = tuple(_default_shapes(model) if shapes is None else _check_shapes(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
     origin = np.array([s.origin for s in frames])
     rotation = np.array([s.rotation @ bodies.turn.swapaxes(1, 2) for s in frames])
@@ -127,11 +127,11 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     )
     meshes = tuple(Mesh(s.body, s.corners @ bodies.axes(s.body)) for s in finders if isinstance(s, OnSurface))
     times, corner = run.time[list(rows)], np.zeros(3)
-    picture = Drawing(bodies, outlines, lines, grounds, meshes, times, rotation, origin, corner, corner)
+    picture = Drawing(bodies, drawn, lines, grounds, meshes, times, rotation, origin, corner, corner)
     reached = [origin.reshape(-1, 3)]
-    for shape in outlines:
-        points, reach = _outline(shape)
-        b = bodies.number(shape.body)
+    for shape in drawn:
+        b, points = bodies.number(shape.body), outline(shape)
+        reach = 0.0 if isinstance(shape, Block) else float(shape.radius or 0.0)
         for k in range(len(rows)):
             at = picture.place(k, b, points)
             reached += [at - reach, at + reach]
@@ -141,19 +141,14 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     return picture._replace(low=everything.min(axis=0), high=everything.max(axis=0))
 
 
-def _outline(shape: Shape) -> tuple[Floats, float]:
-    """Points of a shape in its body's axes, and how far it reaches beyond them."""
+def outline(shape: Shape) -> Floats:
+    """(n, 3) float: middle of a ball, ends of a rod, or corners of a block, in the axes of its body."""
     if isinstance(shape, Ball):
-        return np.array([shape.at], dtype=float), float(shape.radius)
+        return np.array([shape.at], dtype=float)
     if isinstance(shape, Rod):
-        return np.array([shape.a, shape.b], dtype=float), shape.radius or 0.0
-    return corners(shape), 0.0
-
-
-def corners(block: Block) -> Floats:
-    """(8, 3) float: corners of a block, by bits x, y, z."""
+        return np.array([shape.a, shape.b], dtype=float)
     signs = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)]) - 0.5
-    return np.asarray(block.at, dtype=float) + signs * np.asarray(block.edges, dtype=float)
+    return np.asarray(shape.at, dtype=float) + signs * np.asarray(shape.edges, dtype=float)
 
 
 def _check_shapes(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
@@ -231,7 +226,6 @@ def _like(name: str, at: Floats, inertia: Floats) -> Iterator[Shape]:
 
 
 def _lines(model: Assembly) -> Lines:
-    """Springs between points."""
     rows = [part for part in model.conservative if isinstance(part, Springs)]
     turn = model.bodies.turn
     ends = np.concatenate([np.empty((0, 2), np.int64), *(part.ends for part in rows)])

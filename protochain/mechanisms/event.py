@@ -16,8 +16,6 @@ from protochain.mechanisms.elements import Named
 
 _SAME_TIME = 1e-12
 """Error of the time of an event, relative to the time step."""
-_SHORTEST = 2.0**-30
-"""Shortest time between two events of one kind, relative to the time step."""
 
 
 @document_fields
@@ -129,7 +127,7 @@ def _past(
 ) -> tuple[float, Phase]:
     """Take the longest of the steps h, h/2, h/4 ... after which events just past have risen above zero."""
     length = h
-    while length > _SHORTEST * h:
+    while length > 2.0**-30 * h:
         after = integrator.step(system, at, length)
         low = [event for event in fired if not (event.passes or event.value(after) > 0.0)]
         if not low:

@@ -24,12 +24,8 @@ from protochain.mechanisms.model import Model
 _NUDGE = 1e-5
 """Displacement for the derivatives by central differences, in radians and sizes of the tree: the cube root of
 rounding. There both errors of a derivative are about 1e-10."""
-_NOTHING = 1e-13
-"""Square of a frequency, relative to the highest one, that is rounding of the eigenvalues of K by M."""
 _RIGID = 1e-9
 """Square of a frequency, relative to the lowest one, that is rounding of a motion without resistance."""
-_SYMMETRIC = 1e-9
-"""Rounding between a stiffness matrix by differences and its transpose."""
 
 
 def state_matrix(model: Model, at: Phase | None = None) -> Floats:
@@ -233,7 +229,8 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     stiffness, damping = (
         -near.slopes(lambda move, rate: near.lack(move, rate, qdd), kind) for kind in range(2)
     )
-    skew = np.max(np.abs(stiffness - stiffness.T)) > _SYMMETRIC * np.max(np.abs(stiffness))
+    # A stiffness by differences is symmetric but for rounding.
+    skew = np.max(np.abs(stiffness - stiffness.T)) > 1e-9 * np.max(np.abs(stiffness))
     conservative = not (model.loads or np.any(start.qd) or skew)
     root, (shift, factor) = cholesky(mass, lower=True), _shift_eigenvalues(mass, damping, stiffness)
     # Rates of z = L_K^T x and L_M^T x', over the eigenvalue less its shift.
@@ -253,7 +250,8 @@ def _shift_eigenvalues(mass: Floats, damping: Floats, stiffness: Floats) -> tupl
     """Shift s, 0 if possible, for which K + s C + s^2 M is positive definite, and Cholesky's factor."""
     parts = [0.5 * (part + part.T) for part in (stiffness, damping, mass)]
     squares = eigh(parts[0], mass, eigvals_only=True)
-    counts = np.abs(squares) > _NOTHING * np.max(np.abs(squares))
+    # Smaller ones are rounding.
+    counts = np.abs(squares) > 1e-13 * np.max(np.abs(squares))
     low = squares[counts] if np.any(counts) else np.ones(1)
     least = np.sqrt(max(-2.0 * low[0], np.min(np.abs(low))))
     shift = 0.0 if np.all(counts) and low[0] > 0.0 else least

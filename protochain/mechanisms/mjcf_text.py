@@ -211,14 +211,13 @@ class _Writing:
 
     def write_spring(self, of: Spring) -> None:
         """Write a spring between two points, as a tendon."""
-        ends = of.a, of.b
         built = np.linalg.norm(self.bodies.built.point(*of.a) - self.bodies.built.point(*of.b))
         rest_length = built if of.rest is None else of.rest
         values = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest_length}
         line = SubElement(
             self.group("tendon"), "spatial", {"name": of.name, **{key: _text(x) for key, x in values.items()}}
         )
-        for end, (body, at) in zip("ab", ends, strict=True):
+        for end, (body, at) in zip("ab", (of.a, of.b), strict=True):
             SubElement(line, "site", site=self.write_site(f"{of.name}: {end}", body, at, np.eye(3)))
 
     def write_closing(self, joint: Closing) -> None:

@@ -29,8 +29,6 @@ _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
 _MOST_STEPS = 1e10
 """Steps of a run: of ten microseconds at least, so that these need a day."""
-_TOLERATED = 30.0
-"""Displacements of a step that are errors, by the tolerance of each of its substeps."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
@@ -248,10 +246,10 @@ class _Simulation:
         run = Run(self.model, self.rows, (), self.start)
         largest = run.in_motion
         # Energy that forces may lose in displacements that the integrator's tolerance allows, if bodies creep
-        # or rest more than they move, as a block that friction holds on a slope.
+        # or rest more than they move, as a block that friction holds on a slope: 30 tolerances a step.
         steps = (time - self.start.time) / self.time_step
         work = float(np.sum(self.start.effort * self.model.tree.units))
-        lost = _TOLERATED * getattr(self.integrator, "tolerance", 0.0) * steps * work
+        lost = 30.0 * getattr(self.integrator, "tolerance", 0.0) * steps * work
         allowed = self.balance * largest + ROUNDED * run.stored_energy + lost
         if not (abs(lack) <= allowed and np.isfinite(lack)):
             raise UnbalancedError(

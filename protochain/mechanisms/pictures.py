@@ -17,7 +17,7 @@ from protochain.core.palette import COLOURS
 from protochain.core.storage import write_text
 from protochain.mechanisms.assemble import quaternion
 from protochain.mechanisms.assembly import Motion
-from protochain.mechanisms.drawing import THICK, Block, Drawing, Rod, Shape, corners, drawing
+from protochain.mechanisms.drawing import THICK, Block, Drawing, Shape, drawing, outline
 from protochain.mechanisms.element_arguments import direction
 from protochain.mechanisms.shapes import Ball
 
@@ -26,18 +26,8 @@ if TYPE_CHECKING:
 
     from protochain.core.figure import Figure
 
-_FINE = 1e-4
-"""To what places are rounded, by the size of the picture."""
-_MOST = 40_000
-"""Poses of bodies in a page: two megabytes."""
 _POSES = 30
-"""In a strip."""
-_FLAT = 0.2
-"""A mechanism is seen along the axis in which it is thinner than this, by its next extent."""
-_ASLANT = (2.0, -3.0, 1.5)
-"""Direction of view otherwise."""
-_LASTS = 5.0
-"""s. Duration in the page of motions longer than a minute, or shorter than a tenth of a second."""
+"""Most poses in a strip."""
 
 
 class Movie:
@@ -103,7 +93,8 @@ def view(
         raise MechanicsError(f"title {brief(title)}: give a text")
     if path is not None and not (isinstance(path, str | Path) and str(path)):
         raise MechanicsError(f'path {brief(path)}: give the name of a file, as "motion.html"')
-    n_frames = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
+    # 40,000 poses of bodies are two megabytes.
+    n_frames = min(frames, max(40_000 // run.model.tree.n_bodies, 2))
     picture = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], n_frames)), shapes)
     title = title or "Motion"
     text = json.dumps(_data_of(picture), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -186,11 +177,12 @@ def _across(picture: Drawing, along: ArrayLike | None) -> Floats:
     thin = int(np.argmin(extent))
     if along is not None:
         back = -direction(along, "along")
-    elif extent[thin] <= _FLAT * np.sort(extent)[1]:
-        # From the front, so that x or y points to the right; from above, so that y points up.
+    elif extent[thin] <= 0.2 * np.sort(extent)[1]:
+        # Along the thin axis: from the front, so that x or y points to the right, or from above, so that y
+        # points up.
         back = np.eye(3)[thin] * (-1.0 if thin == 1 else 1.0)
     else:
-        back = direction(_ASLANT, "along")
+        back = direction((2.0, -3.0, 1.5), "along")
     up = np.array([0.0, 1.0, 0.0]) if abs(back[2]) > 0.999 else np.array([0.0, 0.0, 1.0])
     right = np.cross(up, back)
     right /= np.linalg.norm(right)
@@ -223,16 +215,13 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
         b = of.bodies.number(shape.body)
         colour = COLOURS[b % len(COLOURS)] if b >= 0 else "#999999"
         look: dict[str, Any] = {"facecolor": colour, "edgecolor": "white", "linewidth": 0.4}
+        places = of.place(k, b, outline(shape))
         if isinstance(shape, Ball):
-            at = of.place(k, b, np.asarray(shape.at, dtype=float))
-            patch: Any = Circle(tuple(across @ at), max(float(shape.radius), 0.25 * thick), **look)
-            depth = float(away @ at)
+            patch: Any = Circle(tuple(across @ places[0]), max(float(shape.radius), 0.25 * thick), **look)
         else:
-            outline = corners(shape) if isinstance(shape, Block) else np.array([shape.a, shape.b], float)
-            places = of.place(k, b, outline)
-            depth = float(np.mean(places @ away))
-            wide = 0.5 * thick if isinstance(shape, Block) else shape.radius or 0.5 * thick
-            patch = Polygon(_hull(places @ across.T, wide if isinstance(shape, Rod) else 0.02 * wide), **look)
+            wide = 0.01 * thick if isinstance(shape, Block) else shape.radius or 0.5 * thick
+            patch = Polygon(_hull(places @ across.T, wide), **look)
+        depth = float(np.mean(places @ away))
         patch.set_zorder(2.0 + (depth - away @ of.low) / (10.0 * of.size))
         ax.add_patch(patch)
 
@@ -249,7 +238,7 @@ def _hull(points: Floats, radius: float) -> Floats:
 
 def _data_of(picture: Drawing) -> dict[str, Any]:
     """Data of the page: shapes, and whole numbers for poses."""
-    middle, fine = 0.5 * (picture.low + picture.high), _FINE * picture.size
+    middle, fine = 0.5 * (picture.low + picture.high), 1e-4 * picture.size
     frames = [
         np.rint(np.hstack([1e4 * quaternion(turn), (at - middle) / fine])).astype(int).ravel().tolist()
         for turn, at in zip(picture.rotation, picture.origin, strict=True)
@@ -278,17 +267,15 @@ def _data_of(picture: Drawing) -> dict[str, Any]:
         "thick": THICK * picture.size,
         "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
         "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
-        "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,
+        # Motions longer than a minute, or shorter than a tenth of a second, last five seconds.
+        "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / 5.0,
     }  # fmt: skip
 
 
 def _shape(shape: Shape) -> dict[str, Any]:
+    points = outline(shape).tolist()
     if isinstance(shape, Ball):
-        at = np.asarray(shape.at, dtype=float)
+        x, y, z = points[0]
         # A spot by which one sees a ball turn.
-        mark = [float(at[0] + shape.radius), *at[1:].tolist()]
-        return {"at": at.tolist(), "radius": float(shape.radius), "mark": mark}
-    if isinstance(shape, Block):
-        return {"corners": corners(shape).tolist()}
-    return {"ends": [np.asarray(end, dtype=float).tolist() for end in (shape.a, shape.b)],
-            "radius": shape.radius}  # fmt: skip
+        return {"at": points[0], "radius": float(shape.radius), "mark": [x + float(shape.radius), y, z]}
+    return {"corners": points} if isinstance(shape, Block) else {"ends": points, "radius": shape.radius}

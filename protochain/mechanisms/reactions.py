@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_AXES = ("x", "y", "z")
-
-
 class Transmitted(NamedTuple):
     """Forces through hinges and joints at one moment."""
 
@@ -105,8 +102,8 @@ def reactions(run: Motion, name: str) -> "pd.DataFrame":
         assert bodies.joints is not None
         wrenches = [_of_joint(transmitted_forces(model, at), model, rows) for at in phases(run)]
     wrench = np.array(wrenches)
-    columns = {f"force {axis}": wrench[:, 3 + k] for k, axis in enumerate(_AXES)}
-    columns |= {f"moment {axis}": wrench[:, k] for k, axis in enumerate(_AXES)}
+    columns = {f"force {axis}": wrench[:, 3 + k] for k, axis in enumerate("xyz")}
+    columns |= {f"moment {axis}": wrench[:, k] for k, axis in enumerate("xyz")}
     return pd.DataFrame({"time": run.time, **columns})
 
 
@@ -146,8 +143,8 @@ def motion(run: Motion) -> "pd.DataFrame":
             continue
         unit, place = bodies.unit(name), bodies.ball(name)
         if place:
-            columns |= {f"{name} {x}": run.q[:, place[0]][:, k] / unit for k, x in enumerate(_AXES)}
-            columns |= {f"{name} rate {x}": run.qd[:, place[1]][:, k] / unit for k, x in enumerate(_AXES)}
+            columns |= {f"{name} {x}": run.q[:, place[0]][:, k] / unit for k, x in enumerate("xyz")}
+            columns |= {f"{name} rate {x}": run.qd[:, place[1]][:, k] / unit for k, x in enumerate("xyz")}
             continue
         q, v = bodies.freedom(name)
         columns |= {name: run.q[:, q] / unit, f"{name} rate": run.qd[:, v] / unit}

@@ -13,8 +13,6 @@ from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, P
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: motions stiffer than the resolution of the step are damped at once."""
-_BALANCED = 1e-3
-"""Permitted loss of a substep in addition to its work, relative to the energy that flows in it."""
 _LEAST, _MOST = 1e-15, 10_000
 """Shortest substep, relative to the step, which no step resolves, and the most substeps of a step."""
 _NUDGE = 1e-6
@@ -71,7 +69,7 @@ def _check_balance(system: Equations, at: Phase, after: Phase, speed: Floats) ->
     trace = 0.5 * float(system.momenta(after.factors, speed) @ speed)
     trace += abs(after.time - at.time) * float(np.maximum(at.effort, after.effort) @ speed)
     lack = after.total - at.total - np.sum(work)
-    if abs(lack) > _BALANCED * flow + trace:
+    if abs(lack) > 1e-3 * flow + trace:
         raise StepTooLargeError(f"it loses {-lack:.2g} of {flow:.2g} of energy in motion, work not counted")
 
 

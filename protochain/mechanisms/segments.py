@@ -17,7 +17,7 @@ from protochain.core.checks import brief
 from protochain.core.errors import Fault, MechanicsError
 from protochain.core.settings import document_fields
 from protochain.mechanisms.bodies import WORLD
-from protochain.mechanisms.element_arguments import not_negative
+from protochain.mechanisms.element_arguments import amount, not_negative
 from protochain.mechanisms.mechanism import Mechanism
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -137,8 +137,7 @@ def add_beam(
             f'beam "{name}": it has no stiffness about {soft[0]}; give one, or remove this axis',
             fault=Fault.NO_STIFFNESS,
         )
-    label = f'beam "{name}": its damping'
-    time = float(not_negative(damping, label))
+    time = amount(damping, f'beam "{name}": its damping')
     lengths = beam.lengths(cells)
     # A rigid zone is no part of a cell.
     cell = (1.0 - 2.0 * beam.rigid) * beam.length / cells

@@ -21,8 +21,6 @@ from protochain.mechanics.multibody.hamilton import momenta
 
 LEAST = 1e-3
 """rad, or size of the tree, in a step. Smaller motions are solved to the same absolute error."""
-_CLOSER = 3
-"""Iterations from an error of a radian in a step, times the tolerance, to one of the largest velocity."""
 
 
 @document_fields
@@ -88,7 +86,7 @@ class ImplicitMidpoint(Integrator):
         if float(np.max(np.abs(lack(scaled)), initial=0.0)) > self.tolerance * size:
             # Closer, unless stiffness leaves no digits for it.
             with suppress(NoConvergence, ValueError):
-                scaled = _root(lack, scaled, self.tolerance * size, _CLOSER)
+                scaled = _root(lack, scaled, self.tolerance * size, 3)
         qd = tree.units * scaled
         factors, torque, loads = middle(qd)
         q = multibody.integrate(tree, at.q, h * qd)

@@ -13,8 +13,6 @@ TOLERANCE = in_range(number, lambda value: 0.0 < value < np.inf, "give a number 
 """Check of a tolerance."""
 Tried = tuple[Phase, Floats, Floats]
 """Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""
-_LEAST = 1e-9
-"""Shortest substep, relative to the step."""
 _MOST = 100_000
 """Substeps of a step: ten seconds of a small tree, and far more than a motion without stiffness needs."""
 
@@ -26,10 +24,10 @@ def in_substeps(
     time_step: float,
     tolerance: float,
     order: int,
-    least: float = _LEAST,
+    least: float = 1e-9,
     n_most: int | None = None,
 ) -> Phase:
-    """Advance by one time step, in as many substeps as the tolerance requires."""
+    """Advance by one time step, in substeps as the tolerance requires, none shorter than ``least`` of it."""
     start, elapsed, part = at.time, 0.0, time_step
     cause, fault = "", None
     n_most = n_most or _MOST

@@ -26,13 +26,6 @@ Drive = Callable[[float], tuple[Floats, Floats, Floats]]
 """Time -> coordinates, velocities and accelerations (k,) of the driven hinges, in the tree's order."""
 NOTHING: Floats = read_only(np.zeros(0))
 """Work of no loads."""
-RETURNED = 1e-6
-"""Precision of the return of a step back, in radians and sizes of the tree, far above round-off, below the
-distance of solutions."""
-
-
-NO_TORQUE: Floats = read_only(np.zeros(1))
-"""Torques of no joints."""
 
 
 class StepTooLargeError(ProtochainError):
@@ -168,7 +161,8 @@ class Integrator(Protocol):
 
 def refuse_departure(system: "Equations", q: Floats, start: Floats) -> None:
     """Raise if a step back has other coordinates than the start of the step."""
-    if not np.max(np.abs(q - start) / system.coordinate_units, initial=0.0) < RETURNED:
+    # Far above round-off, below the distance of solutions, in radians and sizes of the tree.
+    if not np.max(np.abs(q - start) / system.coordinate_units, initial=0.0) < 1e-6:
         raise StepTooLargeError("the time step cannot be reversed")
 
 
@@ -278,7 +272,7 @@ class Equations:
 
     def constrain(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) that the joints of loops allow, and their torques. Here they allow all."""
-        return qdd, NO_TORQUE
+        return qdd, np.zeros(1)
 
     def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
         assert self.drive is not None

@@ -28,12 +28,6 @@ from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_up
 from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, HingeKind, Tree, V
 
 EPS = float(np.finfo(float).eps)
-TOO_THIN = 1e-10
-"""Squared radius of gyration, in squared lengths of the mechanism: bodies of a hundred-thousandth of a bond.
-Each refinement gains about as many digits as eps over this leaves."""
-_REFINEMENTS = 5
-_REFINED = 1e-8
-"""Change by the last refinement, relative, up to which a solution is good: far above rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +48,9 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     """Factorise H at one pose, by one inward sweep."""
     # Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
     n = tree.n_bodies
-    thin = _thinness(tree) <= TOO_THIN
+    # Each refinement gains about as many digits as eps over this leaves. It is of bodies of a
+    # hundred-thousandth of a bond.
+    thin = _thinness(tree) <= 1e-10
     if np.any(thin):
         raise BodyError(
             int(np.argmax(thin)),
@@ -109,13 +105,14 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
     tree, frames = factors.tree, factors.frames
     tau = floats(tau, (tree.n_v,), "tau")
     x, change = _solve_once(factors, tau), 0.0
-    for _ in range(_REFINEMENTS):
+    for _ in range(5):
         step = _solve_once(factors, tau - multiply_mass(tree, frames, x))
         x = x + step
         change = float(np.linalg.norm(step) / max(np.linalg.norm(x), np.finfo(float).tiny))
         if change <= 4.0 * EPS:
             break
-    if not change <= _REFINED:
+    # Far above rounding.
+    if not change <= 1e-8:
         raise MechanicsError(
             f"Fixman's method has a relative error of {change:.1g}, as masses or inertias of the bodies "
             "differ too much; use method articulated",

@@ -19,9 +19,6 @@ from protochain.mechanics.multibody.kinematics import Frames, pull_back
 from protochain.mechanics.multibody.small import dense_inertia, solve_lower, solve_upper
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
-_LOCKED = 1e300
-"""Pivot of a driven hinge if ln det M is computed along it: nothing turns a hinge of this inertia."""
-
 
 @document_fields
 @dataclass(frozen=True, eq=False)
@@ -128,7 +125,8 @@ def gradient_of_log_det(factors: Articulated) -> Floats:
     tree, frames = factors.tree, factors.frames
     gradient, pivot = np.zeros(tree.n_v), factors.pivot
     if tree.driven is not None:
-        pivot = np.where(tree.driven, _LOCKED, pivot)
+        # Nothing turns a hinge of this inertia.
+        pivot = np.where(tree.driven, 1e300, pivot)
     _outward_gradient(
         tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors), pivot,
         factors.root, factors.inertia, gradient,

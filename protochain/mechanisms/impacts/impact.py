@@ -35,9 +35,6 @@ Law = Literal["newton", "poisson", "stronge"]
 Order = Literal["together", "in turn"]
 """Several points at once, or one after the other, the fastest first, until none approaches."""
 _LAWS = {"newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE}
-_ORDERS = ("together", "in turn")
-_TURNS = 1000
-"""Turns after which all points that still approach stop together. Endless impacts have ever less effect."""
 _ROUND_OFF = 1e-12
 """Of the largest inverse inertia. Smaller ones count as zero."""
 
@@ -234,7 +231,7 @@ def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str)
         raise MechanicsError("points: give a list of them, as [ContactPoint(...)]")
     if not (isinstance(law, str) and law in _LAWS):
         raise MechanicsError(f"law {law!r} is not known; choose newton, poisson or stronge")
-    if not (isinstance(order, str) and order in _ORDERS):
+    if not (isinstance(order, str) and order in ("together", "in turn")):
         raise MechanicsError(f"order {order!r} is not known; choose together or in turn")
     if len(points) > 1 and order == "together" and law != "poisson":
         raise MechanicsError(
@@ -283,8 +280,9 @@ def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats
     out = np.zeros((2, 3 * len(points)))
     status, i = impulse_path.follow_in_turn(
         struck.w, struck.u, friction, restitution, _LAWS[law], struck.slow, defaults.IMPACT_TOLERANCE,
-        _TURNS, out,
+        1000, out,
     )  # fmt: skip
+    # After 1000 turns, points that still approach stop together: endless impacts have ever less effect.
     if status != impulse_path.ENDLESS:
         _refuse(status, points[i])
         return out
