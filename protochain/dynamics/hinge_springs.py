@@ -113,14 +113,9 @@ def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> Hi
     hinges = np.concatenate(groups)
     body = chain.hinge_body[hinges]
     at_q = chain.tree.q_start[body]
-    return HingeSprings(
-        chain.n_v,
-        at_q,
-        chain.tree.v_start[body],
-        np.repeat([float(spring.stiffness) for spring in springs], [len(group) for group in groups]),
-        np.asarray(q)[at_q],
-        np.array([chain.hinges[i].is_angle for i in hinges]),
-    )
+    stiffness = np.repeat([float(spring.stiffness) for spring in springs], [len(group) for group in groups])
+    is_angle = np.array([chain.hinges[i].is_angle for i in hinges])
+    return HingeSprings(chain.n_v, at_q, chain.tree.v_start[body], stiffness, np.asarray(q)[at_q], is_angle)
 
 
 def dampers(springs: Sequence[HingeSpring], chain: Chain, thermal_energy: float) -> Dampers | None:

@@ -57,27 +57,17 @@ class Pull(Settings):
     between: tuple[str, str] = setting(
         MISSING,
         "Pull two atoms apart by a moving spring, or residues (A:1-A:20), or selections around ' - '.",
-        ends,
-        option="--pull",
-        metavar="A:1:N-A:20:C",
-    )
+        ends, option="--pull", metavar="A:1:N-A:20:C",
+    )  # fmt: skip
     stiffness: float = setting(
-        defaults.PULL_STIFFNESS,
-        "Stiffness of the pulling spring, kJ/mol/nm^2.",
-        quantity("kilojoule_per_mole/nanometer/nanometer"),
-        float,
-        "--pull-stiffness",
-        metavar="K",
-    )
+        defaults.PULL_STIFFNESS, "Stiffness of the pulling spring, kJ/mol/nm^2.",
+        quantity("kilojoule_per_mole/nanometer/nanometer"), float, "--pull-stiffness", metavar="K",
+    )  # fmt: skip
     # nm/ps: At which its rest length grows from the initial distance. Below 0 it shrinks, at most to 0.
     speed: float = setting(
-        defaults.PULL_SPEED,
-        "Speed of the spring's length, nm/ps, below 0 together, 0 constant.",
-        quantity("nanometer/picosecond"),
-        float,
-        "--pull-speed",
-        metavar="NM/PS",
-    )
+        defaults.PULL_SPEED, "Speed of the spring's length, nm/ps, below 0 together, 0 constant.",
+        quantity("nanometer/picosecond"), float, "--pull-speed", metavar="NM/PS",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -189,19 +179,14 @@ class SimulationSettings(Settings):
     """Settings that define a simulation. :func:`protochain.simulate` explains them."""
 
     temperature: float = setting(
-        defaults.TEMPERATURE,
-        "Temperature of the thermostat and of the initial velocities, K.",
-        _not_negative("kelvin", "K"),
-        float,
-    )
+        defaults.TEMPERATURE, "Temperature of the thermostat and of the initial velocities, K.",
+        _not_negative("kelvin", "K"), float,
+    )  # fmt: skip
     time_step: float = setting(
-        defaults.TIME_STEP,
-        f"Time step, fs [default: {1000.0 * defaults.TIME_STEP:g}].",
+        defaults.TIME_STEP, f"Time step, fs [default: {1000.0 * defaults.TIME_STEP:g}].",
         in_range(quantity("picosecond"), lambda step: 0.0 < step < math.inf, "give a number above 0", "ps"),
-        float,
-        read=_picoseconds,
-        doc="Time step, ps.",
-    )
+        float, read=_picoseconds, doc="Time step, ps.",
+    )  # fmt: skip
     thermostat: str = setting(defaults.THERMOSTAT, "langevin, nose-hoover, rescale, hmc or none.", text)
     friction: float = setting(
         defaults.FRICTION, "Coupling of the thermostat, 1/ps.", _not_negative("1/picosecond", "/ps"), float
@@ -220,11 +205,9 @@ class SimulationSettings(Settings):
         "``closed`` constrains their lengths and angles to the values at q.",
     )  # fmt: skip
     hydrogen_mass: float | None = setting(
-        None,
-        "Mass of hydrogens, repartitioned from their heavy atoms, amu.",
-        optional(quantity("dalton")),
+        None, "Mass of hydrogens, repartitioned from their heavy atoms, amu.", optional(quantity("dalton")),
         float,
-    )
+    )  # fmt: skip
     trajectory_length: int = setting(
         defaults.TRAJECTORY_LENGTH, "Steps in each trajectory of hmc.", at_least(1), int
     )
@@ -236,15 +219,10 @@ class SimulationSettings(Settings):
         'extension, force and work. A text, as ``"A:1:N-A:20:C"``, uses the default stiffness and speed.',
     )  # fmt: skip
     hinge_springs: tuple[HingeSpring, ...] = setting(
-        (),
-        "Spring (kJ/mol/rad^2) and damper (kJ/mol ps/rad^2) on all hinges of a kind, as 'omega 40 0.5'.",
-        HingeSpring.several,
-        list[str],
-        "--hinge-spring",
-        metavar="'KIND K C'",
+        (), "Spring (kJ/mol/rad^2) and damper (kJ/mol ps/rad^2) on all hinges of a kind, as 'omega 40 0.5'.",
+        HingeSpring.several, list[str], "--hinge-spring", metavar="'KIND K C'",
         type="HingeSpring, str, or sequence of them",
-    )
-
+    )  # fmt: skip
     restraints: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restraints --restrain", metavar="LINE|FILE",

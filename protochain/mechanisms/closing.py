@@ -60,14 +60,12 @@ class Closing(Between, noun="closing"):
         super().__post_init__()
         if not (isinstance(self.kind, str) and self.kind in _SLIDES):
             *kinds, last = sorted(_SLIDES)
-            raise MechanicsError(
-                f"{self.label}: its kind {brief(self.kind)}: give {', '.join(kinds)} or {last}"
-            )
+            raise self.refusal(f"its kind {brief(self.kind)}: give {', '.join(kinds)} or {last}")
         if (self.kind == "universal") != (self.axis_b is not None):
-            raise MechanicsError(f"{self.label}: axis_b applies to kind universal only, which requires it")
+            raise self.refusal("axis_b applies to kind universal only, which requires it")
         self.check(axis=direction, axis_b=optional(direction))
         if self.rotation is not None and self.kind != "rigid":
-            raise MechanicsError(f"{self.label}: rotation applies to kind rigid, not to {self.kind}")
+            raise self.refusal(f"rotation applies to kind rigid, not to {self.kind}")
         self.check(rotation=optional(rotation_matrix))
 
     def bind(self, bodies: Bodies) -> LoopJoints:

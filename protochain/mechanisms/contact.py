@@ -167,14 +167,14 @@ class Contact(Named, noun="contact"):
             ("friction", Friction | None, "a Friction, or none"),
         ):
             if not isinstance(getattr(self, name), kind):
-                raise MechanicsError(f"{self.label}: {name} {brief(getattr(self, name))}: give {remedy}")
+                raise self.refusal(f"{name} {brief(getattr(self, name))}: give {remedy}")
 
     def _balls(self, value: Any, name: str) -> tuple[Ball, ...]:
         balls = tuple(value) if isinstance(value, Iterable) else (None,)
         if not all(isinstance(ball, Ball) for ball in balls):
             remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
             also = ", a plane, a surface, or None" if name == "other" else ""
-            raise MechanicsError(f"{self.label}: {name} {brief(value)}: give {remedy}{also}")
+            raise self.refusal(f"{name} {brief(value)}: give {remedy}{also}")
         return balls
 
     def bind(self, bodies: Bodies) -> Acting:

@@ -227,9 +227,8 @@ def _like(name: str, at: Floats, inertia: Floats) -> Iterator[Shape]:
 
 def _lines(model: Assembly) -> Lines:
     rows = [part for part in model.conservative if isinstance(part, Springs)]
-    turn = model.bodies.turn
     ends = np.concatenate([np.empty((0, 2), np.int64), *(part.ends for part in rows)])
     points = np.concatenate([np.empty((0, 6)), *(part.points for part in rows)]).reshape(-1, 2, 3)
-    places = [[turn[b] @ at if b >= 0 else at for b, at in zip(*spring, strict=True)]
-              for spring in zip(ends, points, strict=True)]  # fmt: skip
-    return Lines(ends, np.array(places, dtype=float).reshape(-1, 2, 3))
+    # Index -1 finds the last axes, of the world.
+    turn = np.concatenate([model.bodies.turn, [np.eye(3)]])
+    return Lines(ends, np.einsum("nsij,nsj->nsi", turn[ends], points))

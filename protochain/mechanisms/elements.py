@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import Check
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.core.settings import document_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load, Phase
@@ -100,6 +100,10 @@ class Named:
         """Its kind and name, for messages."""
         return f'{self.noun} "{self.name}"'
 
+    def refusal(self, problem: str, fault: Fault | None = None) -> MechanicsError:
+        """Return the error that names it."""
+        return MechanicsError(f"{self.label}: {problem}", fault=fault)
+
     def fix(self, **values: Any) -> None:
         """Set fields to their checked values."""
         for name, value in values.items():
@@ -122,9 +126,9 @@ class Between(Named):
     def __post_init__(self) -> None:
         for end in (self.a, self.b):
             if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
-                raise MechanicsError(f'{self.label}: give its ends as ("body", (x, y, z))')
+                raise self.refusal('give its ends as ("body", (x, y, z))')
         if self.a[0] == self.b[0]:
-            raise MechanicsError(f'{self.label}: both of its ends are on "{self.a[0]}"; join two bodies')
+            raise self.refusal(f'both of its ends are on "{self.a[0]}"; join two bodies')
         for side, (body, at) in (("a", self.a), ("b", self.b)):
             self.fix(**{side: (body, numbers(at, f"{self.label}: its point"))})
 
@@ -151,9 +155,7 @@ class CustomForce(Named, noun="force"):
 
     def __post_init__(self) -> None:
         if not (isinstance(self.element, Load) or callable(getattr(self.element, "bind", None))):
-            raise MechanicsError(
-                f"{self.label}: give a motion.Load, or an object with bind(bodies) -> Acting"
-            )
+            raise self.refusal("give a motion.Load, or an object with bind(bodies) -> Acting")
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return the bound forces of the element."""

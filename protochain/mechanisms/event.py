@@ -61,7 +61,7 @@ class Event(Named, noun="event"):
     def __post_init__(self) -> None:
         for name_of_callable in ("value", "jump"):
             if not callable(getattr(self, name_of_callable)):
-                raise MechanicsError(f"{self.label}: its {name_of_callable} must be a function of the state")
+                raise self.refusal(f"its {name_of_callable} must be a function of the state")
 
     def watch(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
         """Return it for ``march``. When the event happens, it is added to the list."""
@@ -69,7 +69,7 @@ class Event(Named, noun="event"):
         def value(at: Phase) -> float:
             number = float(answer(f"{self.label}: its value", self.value, state_of(at)))
             if np.isnan(number):
-                raise MechanicsError(f"{self.label}: its value is not a number at time {at.time:g}")
+                raise self.refusal(f"its value is not a number at time {at.time:g}")
             return number
 
         def jump(system: Equations, at: Phase) -> Phase:
@@ -78,9 +78,7 @@ class Event(Named, noun="event"):
             if qd is not None:
                 qd = np.array(qd, dtype=float)
                 if qd.shape != (system.n_v,) or not np.all(np.isfinite(qd)):
-                    raise MechanicsError(
-                        f"{self.label}: its jump must give {system.n_v} finite velocities, or None to go on"
-                    )
+                    raise self.refusal(f"its jump must give {system.n_v} finite velocities, or None to go on")
                 after = system.with_velocities(at, qd)
             happened.append(Happened(at.time, self.name, after.kinetic - at.kinetic))
             return after

@@ -45,19 +45,19 @@ class HingeFriction(Named, noun="friction"):
     def __post_init__(self) -> None:
         self.check(torque=amount, coefficient=amount, radius=amount, damping=amount, speed=amount)
         if self.torque == self.coefficient * self.radius == self.damping == 0.0:
-            raise MechanicsError(
-                f"{self.label}: it has no effect; give a torque, a coefficient or a damping",
+            raise self.refusal(
+                "it has no effect; give a torque, a coefficient or a damping",
                 fault=Fault.NO_STIFFNESS,
             )
         if not self.speed > 0.0:
-            raise MechanicsError(f"{self.label}: its speed is zero; give one far below those of the motion")
+            raise self.refusal("its speed is zero; give one far below those of the motion")
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its torques as a load."""
         b, (_, freedom) = bodies.hinge(self.hinge, self.label), bodies.freedom(self.hinge, self.label)
         turn, slide = bodies.tree.twist[b]
         if self.coefficient and turn and slide:
-            raise MechanicsError(f"{self.label}: a screw has no pin; give a torque, or a damping")
+            raise self.refusal("a screw has no pin; give a torque, or a damping")
         arm = self.coefficient * (self.radius if turn else 1.0)
         rubs = Rubbing(self.label, b, freedom, self.torque, arm, self.damping, self.speed)
         return Acting(friction=rubs, inside=True)

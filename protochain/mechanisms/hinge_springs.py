@@ -101,8 +101,8 @@ class Stop(Named, noun="stop"):
         unit = bodies.unit(self.hinge)
         bound = Stopped(place, freedom, self.low * unit, self.high * unit, self.stiffness, self.damping)
         if bound.depth(bodies.q):
-            raise MechanicsError(
-                f'{self.label}: hinge "{self.hinge}" begins at {bodies.q[place] / unit:g}, beyond its limits '
+            raise self.refusal(
+                f'hinge "{self.hinge}" begins at {bodies.q[place] / unit:g}, beyond its limits '
                 f"{self.low:g} and {self.high:g}; start between them"
             )
         constants = bound.low, bound.high, bound.stiffness, bound.damping

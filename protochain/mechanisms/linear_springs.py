@@ -24,9 +24,7 @@ def check_constants(element: Any) -> None:
     """Check stiffness and damping, of which one at least is above zero."""
     element.check(stiffness=amount, damping=amount)
     if element.stiffness == element.damping == 0.0:
-        raise MechanicsError(
-            f"{element.label}: it has no effect; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
-        )
+        raise element.refusal("it has no effect; give a stiffness or a damping", fault=Fault.NO_STIFFNESS)
 
 
 @document_fields
@@ -56,9 +54,8 @@ class Spring(Between, noun="spring"):
         built = float(np.linalg.norm(places[1] - places[0]))
         neutral = built if self.rest is None else self.rest
         if self.stiffness > 0.0 and built == 0.0 < neutral:
-            raise MechanicsError(
-                f"{self.label}: its ends coincide as built, so its force has no direction; "
-                "give rest=0, or move one end"
+            raise self.refusal(
+                "its ends coincide as built, so its force has no direction; give rest=0, or move one end"
             )
         row = Springs(
             np.array([self.name]), ends, points, read_only([(self.stiffness, neutral, self.damping)])

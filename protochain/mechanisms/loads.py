@@ -42,7 +42,7 @@ class AppliedForce(Named, noun="load"):
 
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
-            raise MechanicsError(f"{self.label}: it has no effect; give a force or a moment")
+            raise self.refusal("it has no effect; give a force or a moment")
         self.fix(at=numbers(self.at, f"{self.label}: its point"))
         self.check(force=partial(_law, check=numbers), moment=partial(_law, check=numbers))
 
@@ -50,7 +50,7 @@ class AppliedForce(Named, noun="load"):
         """Return it as a load."""
         b, label = bodies.number(self.body, self.label), f"{self.label}: its"
         if b < 0:
-            raise MechanicsError(f"{self.label}: the world does not move; name a body")
+            raise self.refusal("the world does not move; name a body")
         point = bodies.inside(b, self.at)
         force, by_force = _evaluator(self.force, bodies, f"{label} force", numbers)
         moment, by_moment = _evaluator(self.moment, bodies, f"{label} moment", numbers)

@@ -145,7 +145,7 @@ class _Writing:
             if hinge.kind == "fixed":
                 continue
             if hinge.kind not in _JOINTS:
-                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; remove it")
+                raise hinge.refusal(f"MJCF has no {hinge.kind}; remove it")
             moves = True
             joint = self.write_joint(element, hinge.name, _JOINTS[hinge.kind], hinge.armature)
             if place is not at:
@@ -171,7 +171,7 @@ class _Writing:
             if isinstance(part, Body | Hinge):
                 continue
             if type(part) not in writers:
-                raise MechanicsError(f"{part.label}: MJCF does not support it; remove it")
+                raise part.refusal("MJCF does not support it; remove it")
             writers[type(part)](part)
 
     def set_of(self, label: str, joint: str, **values: float) -> None:
@@ -194,9 +194,7 @@ class _Writing:
     def write_friction(self, friction: HingeFriction) -> None:
         """Write a constant friction."""
         if friction.coefficient or friction.damping:
-            raise MechanicsError(
-                f"{friction.label}: MJCF has constant friction only; move its damping to a torsion"
-            )
+            raise friction.refusal("MJCF has constant friction only; move its damping to a torsion")
         self.set_of(friction.label, friction.hinge, frictionloss=friction.torque)
 
     def write_stop(self, stop: Stop) -> None:
@@ -223,9 +221,7 @@ class _Writing:
     def write_closing(self, joint: Closing) -> None:
         """Close a loop between sites: so it is as it is here, wherever MuJoCo's coordinates begin."""
         if joint.kind not in _LOOPS:
-            raise MechanicsError(
-                f"{joint.label}: MJCF closes loops by ball and rigid only, not by {joint.kind}; choose one"
-            )
+            raise joint.refusal(f"MJCF closes loops by ball and rigid only, not by {joint.kind}; choose one")
         turn = np.eye(3)
         if joint.kind == "rigid":
             built = self.bodies.built.rotation(joint.a[0]).T @ self.bodies.built.rotation(joint.b[0])
@@ -248,9 +244,8 @@ class _Writing:
             rest_rotation = turn.T if of.rotation is None else of.rotation
             fits = np.allclose(at_b, place, atol=_SAME) and np.allclose(rest_rotation, turn.T, atol=_SAME)
         if not (fits and all(np.array_equal(c, c[0] * alike) for c in (of.stiffness, of.damping))):
-            raise MechanicsError(
-                f"{of.label}: MJCF supports only isotropic bushings of balls and free bodies, "
-                "at rest as built; remove it"
+            raise of.refusal(
+                "MJCF supports only isotropic bushings of balls and free bodies, at rest as built; remove it"
             )
         joint: str = a if hinge is None else hinge.name
         self.set_of(of.label, joint, stiffness=float(of.stiffness[0]), damping=float(of.damping[0]))

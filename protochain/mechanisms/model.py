@@ -125,7 +125,7 @@ def model_of(
         if not isinstance(part, Acting):
             part = Acting()
         if part.conservative is part.load is part.damping is part.friction is None:
-            raise MechanicsError(f"{element.label}: its bind() returns an empty Acting; set one field")
+            raise element.refusal("its bind() returns an empty Acting; set one field")
         acting[element.name] = part
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = join_rows(act.damping for act in acting.values() if act.damping)

@@ -27,8 +27,8 @@ class Driven(Named, noun="drive of hinge"):
 
     def __post_init__(self) -> None:
         if not callable(self.motion):
-            raise MechanicsError(
-                f"{self.label}: motion {brief(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
+            raise self.refusal(
+                f"motion {brief(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
             )
 
     def at(self, time: float) -> tuple[float, float, float]:
@@ -39,9 +39,8 @@ class Driven(Named, noun="drive of hinge"):
         except (TypeError, ValueError):
             q = qd = qdd = np.nan
         if not np.isfinite(q + qd + qdd):
-            raise MechanicsError(
-                f"{self.label}: at time {time:g} it gives {brief(values)}; "
-                "give coordinate, rate and acceleration, finite"
+            raise self.refusal(
+                f"at time {time:g} it gives {brief(values)}; give coordinate, rate and acceleration, finite"
             )
         return q, qd, qdd
 
@@ -89,9 +88,7 @@ class Motor(Named, noun="motor"):
         tree, names = bodies.tree, tuple(self.follow)
         places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
         if np.any(is_driven := np.isin(freedoms, tree.driven_v)):
-            raise MechanicsError(
-                f'{self.label}: hinge "{names[int(np.argmax(is_driven))]}" is driven; remove it'
-            )
+            raise self.refusal(f'hinge "{names[int(np.argmax(is_driven))]}" is driven; remove it')
         units = np.array([bodies.unit(name) for name in names])
 
         def apply(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,7 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import brief
 from protochain.core.errors import MechanicsError
 from protochain.core.palette import COLOURS
+from protochain.core.settings import document_fields
 from protochain.core.storage import write_text
 from protochain.mechanisms.assemble import quaternion
 from protochain.mechanisms.assembly import Motion
@@ -30,19 +32,13 @@ _POSES = 30
 """Most poses in a strip."""
 
 
+@document_fields
+@dataclass(frozen=True, repr=False)
 class Movie:
-    """A motion that moves in a notebook, with plain text elsewhere.
+    """A motion that moves in a notebook, with plain text elsewhere."""
 
-    Parameters
-    ----------
-    page : str
-        The page: HTML that needs nothing else.
-    title : str
-        Subject of the page.
-    """
-
-    def __init__(self, page: str, title: str) -> None:
-        self.page, self.title = page, title
+    page: str  # The page: HTML that needs nothing else.
+    title: str  # Subject of the page.
 
     def _repr_html_(self) -> str:
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
