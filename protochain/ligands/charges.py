@@ -11,8 +11,7 @@ from protochain.ligands import nagl
 from protochain.ligands.molecule import Molecule, quietly, to_rdkit
 from protochain.ligands.sources import read, text_of
 
-_ROUNDING = 0.01
-"""e. Sums of charges in files are off by their rounded digits."""
+_ROUNDING = 0.01  # e. Sums of charges in files are off by their rounded digits.
 
 
 def by_rule(molecule: Molecule, rule: str) -> Floats:
@@ -58,7 +57,6 @@ def from_file(molecule: Molecule, path: Path) -> Floats:
 
 
 def _of_mol2(lines: list[str]) -> list[list[str]]:
-    """Name and charge of each atom."""
     start = next((i for i, line in enumerate(lines) if line.startswith("@<TRIPOS>ATOM")), len(lines)) + 1
     end = next((i for i in range(start, len(lines)) if lines[i].startswith("@")), len(lines))
     fields = [line.split() for line in lines[start:end] if line.strip()]

@@ -11,8 +11,7 @@ from protochain.core.graph import neighbours
 from protochain.core.processors import one_blas_thread
 from protochain.core.units import COULOMB
 
-_MOST = 20000
-"""Iterations and evaluations."""
+_MOST = 20000  # Iterations and evaluations.
 _TOLERANCE = 1e-3
 """kJ/mol/nm of the largest gradient component. The energy is then within 1e-8 kJ/mol of the minimum."""
 _UNIT = 0.01

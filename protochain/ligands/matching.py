@@ -16,20 +16,16 @@ from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.molecule import Molecule, build_mol, place, to_rdkit
 
-_MOST_MATCHES = 1000
-"""Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296."""
+_MOST_MATCHES = 1000  # Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296.
 _REACH = 1.3
 """Of the sum of covalent radii: bonds of distorted models count. Only which atoms are joined follows."""
 _SHORTER = {1.0: 1.0, 1.5: 0.92, 2.0: 0.87, 3.0: 0.78}
 """Length of a bond by its order, relative to the sum of covalent radii. 0.1 angstrom RMS in 74 ligands."""
 _ALIKE = 0.02
 """Angstrom RMS: matches whose lengths fit as well as the best but for this are distinguished by stereo."""
-_WORST = 0.25
-"""Angstrom RMS between lengths of bonds. Crystal ligands have up to 0.1."""
-_OTHER_RING = 0.09
-"""Angstrom: bonds of benzene are 0.13 shorter than bonds of cyclohexane."""
-_FLAT = 0.1
-"""Volume of three unit vectors, 0.77 in a tetrahedron."""
+_WORST = 0.25  # Angstrom RMS between lengths of bonds. Crystal ligands have up to 0.1.
+_OTHER_RING = 0.09  # Angstrom: bonds of benzene are 0.13 shorter than bonds of cyclohexane.
+_FLAT = 0.1  # Volume of three unit vectors, 0.77 in a tetrahedron.
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +78,13 @@ def copy_names(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], 
         name_of = {i: names[k] for i, k in zip(heavy.tolist(), places.tolist(), strict=True)}
     else:
         distance, reach, joined = _distances(elements, x)
-        matches = _skeleton(molecule.elements, molecule.bonds).GetSubstructMatches(
-            _skeleton(elements, joined), uniquify=False, maxMatches=_MOST_MATCHES
-        )
+        matches = _matches(elements, joined, molecule.elements, molecule.bonds)
         if not matches:
             raise StructureError(
                 f"{molecule.source}: is another molecule than the model has; give the one that it has"
             )
-        usual = {
-            frozenset(pair): _SHORTER[k]
-            for pair, k in zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)
-        }
+        orders = zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)
+        usual = {frozenset(pair): _SHORTER[order] for pair, order in orders}
         misfit = [
             sum(abs(distance[i, j] - usual[frozenset((match[i], match[j]))] * reach[i, j]) for i, j in joined)
             for match in matches
@@ -153,11 +145,7 @@ def _match_heavy(
             f"{molecule.source}: is another molecule than the model has: {model}, not {full}; "
             "give the one that it has"
         )
-    matches = np.array(
-        _skeleton(elements[indices], joined).GetSubstructMatches(
-            _skeleton(target, bonds), uniquify=False, maxMatches=_MOST_MATCHES
-        )
-    )
+    matches = np.array(_matches(target, bonds, elements[indices], joined))
     if not len(matches):
         raise StructureError(
             f"{molecule.source}: is another molecule than the model has: both are {full}, but bonded "
@@ -204,10 +192,13 @@ def _match_heavy(
     return np.asarray(places[best])
 
 
-def _skeleton(elements: Any, bonds: Any) -> Any:
-    """Heavy atoms joined by single bonds, as RDKit's molecule."""
-    n = len(elements)
-    return build_mol([""] * n, elements, [0] * n, bonds, [1] * len(bonds), None)
+def _matches(part_elements: Any, part_bonds: Any, elements: Any, bonds: Any) -> Any:
+    """Matches of a part with a whole, heavy atoms joined by single bonds."""
+    part, whole = (
+        build_mol([""] * len(atoms), atoms, [0] * len(atoms), pairs, [1] * len(pairs), None)
+        for atoms, pairs in ((part_elements, part_bonds), (elements, bonds))
+    )
+    return whole.GetSubstructMatches(part, uniquify=False, maxMatches=_MOST_MATCHES)
 
 
 def _difference(model_elements: Any, model_bonds: Any, source_elements: Any, source_bonds: Any) -> str:

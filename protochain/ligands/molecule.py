@@ -13,8 +13,7 @@ from protochain.core.errors import StructureError
 from protochain.core.optional_libraries import library
 from protochain.core.units import ANGSTROM_PER_NM
 
-_MOST_ATOMS = 2000
-"""Memory grows with their square."""
+_MOST_ATOMS = 2000  # Memory grows with their square.
 
 
 def quietly(call: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
@@ -100,9 +99,9 @@ def build_mol(
     for (i, j), order in zip(bonds, orders, strict=True):
         mol.AddBond(int(i), int(j), chem.BondType.values[int(order)])
         if order == 12:
-            mol.GetBondBetweenAtoms(int(i), int(j)).SetIsAromatic(True)
-            mol.GetAtomWithIdx(int(i)).SetIsAromatic(True)
-            mol.GetAtomWithIdx(int(j)).SetIsAromatic(True)
+            bond = mol.GetBondBetweenAtoms(int(i), int(j))
+            for part in (bond, bond.GetBeginAtom(), bond.GetEndAtom()):
+                part.SetIsAromatic(True)
     if positions is not None:
         place(mol, positions)
     return mol
@@ -144,12 +143,9 @@ def from_rdkit(mol: Any, source: str) -> Molecule:
             atom.ClearProp("_CIPCode")
     chem.Kekulize(mol, clearAromaticFlags=True)
     double_bonds, stereo = _double_bonds(mol, names)
-    centres = [
-        (name, atom.GetProp("_CIPCode"))
-        for name, atom in zip(names, mol.GetAtoms(), strict=True)
-        if atom.HasProp("_CIPCode")
-    ]
     atoms, bonds = mol.GetAtoms(), mol.GetBonds()
+    named = zip(names, atoms, strict=True)
+    centres = [(name, atom.GetProp("_CIPCode")) for name, atom in named if atom.HasProp("_CIPCode")]
     tags = {chem.ChiralType.values[tag]: tag for tag in (1, 2)}
     positions = mol.GetConformer().GetPositions() / ANGSTROM_PER_NM if in_space else None
     return Molecule(

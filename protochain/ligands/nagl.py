@@ -22,10 +22,8 @@ from protochain.core.processors import one_blas_thread
 from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly
 
 _MODEL = Path(__file__).with_name("openff-gnn-am1bcc-1.0.0.npz")
-_TABLE = _MODEL.with_suffix(".txt")
-"""Lines of InChI, SMILES, and charges in its order."""
-_LARGEST_TABULATED = 3
-"""Heavy atoms."""
+_TABLE = _MODEL.with_suffix(".txt")  # Lines of InChI, SMILES, and charges in its order.
+_LARGEST_TABULATED = 3  # Heavy atoms.
 _DECIMALS = 6
 """Of e: atoms alike are alike in the last bit, and so is a molecule in another order of its atoms."""
 
@@ -72,8 +70,7 @@ _KINDS = {
 }  # fmt: skip
 """Whether an atom gives an electron pair to a resonance form, or accepts one, and its energy (Gilson et al.),
 by element, charge and orders of its bonds. Afterwards it has the other of the two energies."""
-_PAIR = 5
-"""Sum of the two."""
+_PAIR = 5  # Sum of the two.
 
 Form = tuple[tuple[int, ...], tuple[int, ...]]
 """Charges of all atoms and orders of all bonds."""
@@ -108,7 +105,6 @@ def _weights() -> dict[str, Floats]:
 
 @lru_cache(maxsize=1)
 def _table() -> dict[str, list[str]]:
-    """SMILES and charges by InChI."""
     rows = (line.split() for line in _TABLE.read_text(encoding="ascii").splitlines())
     return {row[0]: row[1:] for row in rows}
 
@@ -210,7 +206,6 @@ def _resonant_charges(mol: Any) -> Floats:
 
 
 def _lowest(form: Form, group: list[Any]) -> list[Form]:
-    """Forms of lowest energy of conjugated atoms."""
     # Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
     # donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
     # lowest one or two moves lead to a lower one, and at one energy from each lowest to all.

@@ -48,133 +48,15 @@ class Rule(Value):
     source: str
 
 
-_NITRO = "[N+](=O)[O-]"
-_PICRYL = f"[c;$(c1c({_NITRO})cc({_NITRO})cc1{_NITRO})]"
-_X = "[F,Cl,Br,I]"
-_PLAIN = "[c;!$(c-[!#6;!#1]);!$(c-C=[O,N,S]);!$(c-C#N)]"
-"""An aromatic carbon with nothing that draws electrons."""
-RULES = (
-    Rule(-1, "[OX2H,SX2H]-[PX4;!$(P-[O-,S-])]", 2.0, "phosphates, phosphonates, thiophosphates, first: [1]"),
-    # Of imides and methylenes alone it is 7.7 and 8.4; in sites they hold magnesium, as ATP, and have -4.
-    Rule(-1, "[OX2H,SX2H]-[PX4;$(P-[O-,S-])]-[O,N,C,S]-P", 6.5, "ATP, last: [2]; its analogues: [3]"),
-    Rule(-1, "[OX2H,SX2H]-[PX4;$(P-[O-,S-])]-[#7]~C(~[#7])~[#7]", 4.5, "creatine phosphate: [7]"),
-    Rule(-1, "[OX2H,SX2H]-[PX4;$(P-[O-,S-]);!$(P(-[O-,S-])-[O-,S-]);$(P=S),$(P-[SX2H,S-])]", 5.4,
-         "thiophosphates, second: [1], [8]"),
-    Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4]-[F,Cl,Br]", 5.7, "halomethylphosphonates, second: [9]"),
-    Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4]-[NX4+;!H0]", 5.6, "aminomethylphosphonates, glyphosate: [10]"),
-    Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4]-[CX4]-[NX4+;!H0]", 6.3, "aminoethylphosphonates: [10]"),
-    Rule(-1, "[OX2H]-[PX4;$(P-[O-])]-[CX4H2]-[OX2]-C", 6.8, "alkoxymethylphosphonates, adefovir: [5]"),
-    Rule(-1, "[OX2H]-[PX4;!H0;$(P-[O-])]", 6.6, "phosphorous acid, second: [1]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-[CX4;!$(C-[F,Cl,Br])]-P(=O)(-[O-])-[O-]", 10.7, "bisphosphonates, last: [19]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-[CX4;$(C-[F,Cl,Br])]-P(=O)(-[O-])-[O-]", 8.3, "clodronate, last: [10]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-[CX4H2]-P(=O)(-[OX2H])-[O-]", 7.3, "methylenediphosphonate, third: [10]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-O-P(=O)(-[O-])-[O-]", 9.4, "diphosphate, last: [1]"),
-    Rule(1, "[O-]-P(=O)(-[O-])-O-P(=O)(-[O-])-O-P(=O)(-[O-])-[O-]", 9.2, "triphosphate, last: [1]"),
-    Rule(-1, "[OX2H]-S(=O)=O", -2.0, "sulphuric and sulphonic acids: [1]"),
-    Rule(-1, "[SX2H]-S(=O)=O", 1.6, "thiosulphate, second: [1]"),
-    Rule(-1, "[OX2H]-S(=O)(=S)", 1.6, "thiosulphate: [1]"),
-    Rule(1, "[O-]-[SX3](=O)-[O-]", 7.2, "hydrogensulphite: [1]"),
-    Rule(-1, "[OX2H]-[Se,As;!$(*-[O-])]=O", 2.5, "selenious, selenic, arsenic acids, first: [1]"),
-    Rule(-1, "[OX2H]-[As](-[#6])(-[#6])=O", 6.3, "cacodylic acid: [1]"),
-    Rule(-1, "[OX2H]-[Se](=O)(=O)", 1.7, "selenic acid: [1]"),
-    Rule(-1, "[OX2H]-[As;$(*-[O-]);!$(*(-[O-])-[O-])](=O)", 6.9, "arsenic acid, second: [1]"),
-    Rule(-1, "[SX2H]-C#N", -1.8, "thiocyanic acid: [1]"),
-    Rule(-1, "[NX2H]=C=S", -1.8, "thiocyanic acid: [1]"),
-    Rule(1, "[O-]-C(=O)-[O-]", 10.3, "hydrogencarbonate: [1]"),
-    Rule(-1, "[NX4+;!H0]-[CX3](-[NX4+])=[CX3]-[N+](=O)[O-]", -2.0, "nitroethenediamines, second: [5]"),
-    Rule(-1, "[NX4+;!H0]-[CX3]=[CX3]-[N+](=O)[O-]", 2.7, "nitroethenediamines, ranitidine: [5]"),
-    Rule(-1, "[NX4+;!H0]-[CX3]=[CX3]-C#N", 1.0, "cyanoenamines: [4]"),
-    Rule(-1, "[N+;!H0]=C-[NX3]-[$(C#N),$(S(=O)=O)]", 0.4, "cyano- and sulphonylguanidines: [5]"),
-    Rule(-1, "[N+;!H0;$(*-C#N),$(*-S(=O)=O)]=C", 0.4, "cyano- and sulphonylguanidines: [5]"),
-    Rule(-1, "[N+;!H0]=C(-[NX3])-[NX3]-c1:n:c:c:s1", 6.8, "guanidinothiazoles, famotidine: [5]"),
-    Rule(-1, "[N+;!H0]=C1-[NX3]-C(=O)-[CX4]-[NX3]1", 4.8, "glycocyamidines, creatinine: [7]"),
-    Rule(-1, "[N+;!H0]1=C(-[NX3])-[NX3]-[CX4]-C1=O", 4.8, "glycocyamidines, creatinine: [7]"),
-    Rule(-1, "[N+;!H0]1=C(-[NX3])-[NX3]-C(=O)-[CX4]1", 4.8, "glycocyamidines, creatinine: [7]"),
-    Rule(1, "[NX3;H2;+0]-[NX3;+0;!$(N-[!#1;!#7;!$([CX4])])]", 8.0, "hydrazine and alkylhydrazines: [4]"),
-    Rule(1, "[nX2+0]1:c(-[NX3H2]):[nX2]:c(-[NX3H2]):[c;!$(c(:c):n)]:c1", 7.2, "diaminopyrimidines: [5]"),
-    Rule(1, "[NX2H;+0]=c1:n(-[#6]):c:n:c:c1", 8.8, "1-methyladenines: [11]"),
-    Rule(1, "[NX2H;+0]=c1:n(-[#6]):c(=O):n:c:c1", 8.7, "3-methylcytosines: [11]"),
-    Rule(-1, "[NX4+;!H0]-[CX3]=[CX3]-[CX3]=O", 1.0, "vinylogous amides, dihydropyridine of NADH: [4]"),
-    Rule(-1, "[NX4+;!H0]1-C-C-[NX4+;!H0]-C-C1", 5.4, "piperazine, second: [4]"),
-    Rule(-1, "[NX4+;!H0]-[CX4]-[CX4]-[NX4+;!H0]", 6.8, "1,2-diamines, second: [4]"),
-    Rule(-1, "[NX4+;!H0]-[OX2]", 6.0, "hydroxylamines: [4]"),
-    Rule(-1, "[NX4+;!H0]-P", 3.0, "phosphoramidates: [4]"),
-    Rule(-1, "[N+;!H0]=C-[NX3]-C=[N+;!H0]", 2.8, "biguanides, second: [5]"),
-    Rule(-1, "[N+;!H0]=[CX3;!$(C(-N)-N)]-[NX3]-C=O", 2.0, "imidazolinones, GFP's chromophore: [6]"),
-    Rule(1, f"[nX2+0]1{_PLAIN}{_PLAIN}c(-[NX3+0;!$(N-[C,S]=[O,S])]){_PLAIN}{_PLAIN}1", 9.1,
-         "4-aminopyridines and -quinolines: [4]"),
-    Rule(-1, "[NX3H](-S(=O)=O)-[c;r5;$(c:n:[o,n])]", 5.7, "sulphonamides of isoxazole, thiadiazole: [5]"),
-    Rule(-1, "[NX3H](-S(=O)=O)-c(:n:[cH]):n:[cH]", 6.5, "sulphadiazine: [5]"),
-    Rule(-1, "[NX3H](-S(=O)=O)-[c;$(c1:n:c:n:c(-O):c1),$(c1:n:c:n:c:c1-O),$(c:n:c:c-O)]", 6.0,
-         "sulphonamides of alkoxypyrimidines: [5]"),
-    Rule(-1, "[NX3H](-S(=O)=O)-[c;$(c1:n:n:c(-[F,Cl,Br]):c:c1),$(c1:n:c2:c(:n:c1):c:c:c:c:2)]", 5.9,
-         "sulphonamides of halopyridazines and quinoxaline: [5]"),
-    Rule(-1, "[NX3H](-S(=O)=O)-S(=O)=O", 1.5, "disulphonimides: [12]"),
-    Rule(-1, "[NX3H](-c)-N=C(-C#N)-C#N", 6.0, "dicyanohydrazones, FCCP: [12]"),
-    Rule(-1, f"[NX3H](-{_PICRYL})-{_PICRYL}", 2.7, "dipicrylamine: [4]"),
-    Rule(-1, "[OX2H]-c1c[c,n]c(=O)oc1", 5.0, "4-hydroxypyrones: [12]"),
-    Rule(-1, "[OX2H]-c1cc(=O)oc(-,:[#6])c1", 5.0, "4-hydroxypyrones: [12]"),
-    Rule(-1, "[OX2H]-c1c(-[#6,#7,#1])c(=O)oc2ccccc12", 5.0, "4-hydroxycoumarins, warfarin: [5]"),
-    Rule(-1, "[OX2H]-c1[cH]c(=O)oc2ccccc12", 4.1, "4-hydroxycoumarin: [12]"),
-    Rule(-1, "[OX2H]-[CX3]=[CX3](-C#N)-C=O", 5.2, "cyanoenols, teriflunomide: [5]"),
-    Rule(-1, "[OX2H]-[CX3]=[CX3](-[CX3]=O)-[CX3]=O", 3.5, "enols of triacylmethanes: [12]"),
-    Rule(-1, "[CX4;!H0](-[CX3](=O)-[#6])(-[CX3](=O)-[#6])-[CX3](=O)-[#6]", 3.5, "triacylmethanes: [12]"),
-    Rule(-1, "[CX4;!H0](-C#N)(-[CX3](=O)-[#6])-[CX3](=O)-[#6,#7]", 5.2, "cyanoketones, teriflunomide: [5]"),
-    Rule(-1, "[CX4;!H0]1-C(=O)-[C,N,O]-[C,N,O]-C1=O", 4.5, "tetronic acid, phenylbutazone: [12]"),
-    Rule(-1, "[CX4;!H0]1-C(=O)-c:c-C1=O", 7.2, "1,3-indandiones: [12]"),
-    Rule(-1, "[CX4;!H0](-c)1-C(=O)-c:c-C1=O", 4.1, "2-aryl-1,3-indandiones, phenindione: [5]"),
-    Rule(-1, "[CX4;!H0]1-C(=O)-[#6,#7,#8]~[#6]~[#6,#7,#8]-C1=O", 5.0,
-         "cyclic diones, dimedone 5.2, barbituric 4.0, Meldrum's acid 5.0: [12]"),
-    Rule(-1, "[CX4;!H0](-[CX3](=O)-[#6])-[CX3](=O)-[#6]", 8.9, "acetylacetones: [12]"),
-    Rule(1, "[O-]-[C;R;!$(C-C=O)]=[C;R;!$(C(-C=O)-C=O)]-[C;R](=O)-c", 7.7, "tetracyclines, C12: [5]"),
-    Rule(-1, "[OX2H]-[#6;r4]~[#6;r4]~[#6;r4]=O", 3.4, "squaric acid: [12]"),
-    Rule(-1, "[OX2H]-N=C(-C=O)-C=O", 4.6, "isonitroso diketones, violuric acid: [12]"),
-    Rule(-1, "[OX2H]-N(-C=O)-C=O", 6.1, "N-hydroxyimides: [12]"),
-    Rule(-1, "[OX2H]-n1nn[#6][#6]1", 4.6, "N-hydroxybenzotriazoles: [12]"),
-    Rule(-1, "[OX2H]-n:c=S", 4.7, "N-hydroxypyridinethiones: [4]"),
-    Rule(-1, "[OX2H]-n1c(=O)ccc[cH]1", 5.8, "N-hydroxypyridones: [4]"),
-    Rule(-1, "[OX2H]-c1:n:o:c:c1", 4.9, "3-hydroxyisoxazoles, muscimol, AMPA: [13]"),
-    Rule(-1, "[nH]1:o:c:c:c1=O", 4.9, "3-hydroxyisoxazoles, muscimol, AMPA: [13]"),
-    Rule(-1, "[OX2H]-c1:n:s:c:c1", 6.1, "3-hydroxyisothiazoles: [13]"),
-    Rule(-1, "[nH]1:s:c:c:c1=O", 6.1, "3-hydroxyisothiazoles: [13]"),
-    Rule(-1, "[OX2H]-c1:n:[o,s,n]:n:c1", 5.0, "3-hydroxyfurazans and -thiadiazoles: [13]"),
-    Rule(-1, "[nH]1:c(=[O,S]):[o,s]:n:c1", 6.1, "oxadiazolones, azilsartan: [14]"),
-    Rule(-1, "[nH]1:[o,s]:c(=[O,S]):n:c1", 6.1, "oxadiazolones, azilsartan: [14]"),
-    Rule(-1, "[nH]1:n:c:[o,s]:c1=S", 5.0, "oxadiazolethiones: [4]"),
-    Rule(-1, "[SX2H]-c1:n:n:n:n1", 3.9, "mercaptotetrazoles: [4]"),
-    Rule(-1, "[nH]1:n:n:n:c1=S", 3.9, "mercaptotetrazoles: [4]"),
-    Rule(-1, "[SX2H]-c1:n:n:c:[o,s]1", 5.0, "oxadiazolethiones: [4]"),
-    Rule(-1, "[OX2H]-c1:n:n:c:n:c1=O", 4.1, "hydroxytriazinones, ceftriaxone: [5]"),
-    Rule(-1, "[nH]1:n:c:n:c(=O):c1=O", 4.1, "hydroxytriazinones, ceftriaxone: [5]"),
-    Rule(-1, "[nH]1c(=O)ccc(=O)[nH]1", 5.6, "maleic hydrazides: [4]"),
-    Rule(-1, "[OX2H]-c1ccc(=O)[nH]n1", 5.6, "maleic hydrazides: [4]"),
-    Rule(-1, "[nH]1c(=O)[nH]c(=O)[nH]c1=O", 6.9, "cyanuric acid: [4]"),
-    Rule(-1, f"[nH]1c(=O)[nH]cc({_NITRO})c1=O", 5.5, "5-nitrouracils: [4]"),
-    Rule(-1, f"[nH;$(n1nc({_NITRO})nc1),$(n1ncnc1{_NITRO}),$(n1cnc({_NITRO})n1),$(n1nnc({_NITRO})c1)]", 6.0,
-         "nitrotriazoles: [15]"),
-    Rule(1, f"[n-]1nc({_NITRO})cc1", 9.8, "nitropyrazoles: [15]"),
-    Rule(1, f"[n-]1ncc({_NITRO})c1", 9.6, "nitropyrazoles: [15]"),
-    Rule(-1, f"[nH]1[c,n]c({_NITRO})c({_NITRO})[c,n]1", 3.0, "dinitroazoles: [15]"),
-    Rule(-1, f"[nH]1[c,n][c,n]c({_NITRO})c1{_NITRO}", 3.0, "dinitroazoles: [15]"),
-    Rule(-1, f"[nH]1nc({_NITRO})cc1{_NITRO}", 3.1, "dinitroazoles: [15]"),
-    Rule(-1, f"[nH]1[n,c]nc2c({_X})c({_X})c({_X})c({_X})c12", 4.8, "tetrahalobenzotriazoles: [16]"),
-    Rule(-1, f"[nH]1n[nX2]c2c({_X})c({_X})c({_X})c({_X})c12", 4.8, "tetrahalobenzotriazoles: [16]"),
-    Rule(-1, f"[nH]1c(C(F)(F)F)nc2cc({_X})c({_X})cc12", 5.5, "dihalotrifluoromethylbenzimidazoles: [15]"),
-    Rule(-1, "[NX3H]1-C(=O)-S-[#6]-C1=[O,S]", 6.4, "thiazolidinediones, pioglitazone: [5]"),
-    Rule(-1, "[NX3H]1-C(=S)-S-[#6]-C1=O", 5.2, "rhodanines: [4]"),
-    Rule(-1, "[NX3H]1-C(=O)-O-[#6]-C1=O", 6.0, "oxazolidinediones: [5]"),
-    Rule(1, "[N-]1-C(=[O,S])-[#7]-C(=O)-[CX4;H0;!$(C-c)]-C1=O", 7.8, "barbiturates, barbital: [5]"),
-    Rule(1, "[N-]1-C(=[O,S])-[#7]-C(=O)-[CX4;H0;$(C-c)]-C1=O", 7.4, "barbiturates, phenobarbital: [5]"),
-    Rule(1, "[N-]1-C(=O)-[#7]-[CX4;!$(C(-c)-c)]-C1=O", 9.1, "hydantoins: [5]"),
-    Rule(1, "[N-]1-C(=O)-[#7]-[CX4;$(C(-c)-c)]-C1=O", 8.3, "diarylhydantoins, phenytoin: [5]"),
-    Rule(-1, "[OX2H]-c1ccc2c(c1)[#8][#6][#6]c2-,=[#6]", 6.4, "fluoresceins: [18]"),
-    Rule(-1, "[OX2H]-c1ccc2c(c1)[O,o]~[#6]~[#6]~[#6]2-c1ccccc1", 6.4, "fluoresceins: [18]"),
-    Rule(-1, f"[OX2H]-c1ccc(cc1)-[N,C]=C1C=C({_X})C(=O)C({_X})=C1", 5.9, "dichloroindophenol: [17]"),
-    Rule(-1, "[OX2H]-C=C(-C(=O)-N)-N-S(=O)=O", 4.2, "oxicams: [5]"),
-    Rule(-1, "[nH]1c(=O)[nH]c(=O)c2[nH]c(=O)[nH]c12", 5.4, "uric acid, N3: [7]"),
-    Rule(1, "[N-;$(N(-C=O)-[#7])]", 12.0, "hydrazides: [4]"),
-    Rule(1, "[N-;$(N(-C=O)-[OX2])]", 9.0, "hydroxamic acids: [4]"),
-)  # fmt: skip
+def _rows(name: str) -> list[dict[str, str]]:
+    with Path(__file__).with_name(name).open(encoding="utf-8") as lines:
+        return [*csv.DictReader(lines)]
+
+
+RULES = tuple(
+    Rule(int(row["gain"]), row["smarts"], float(row["pka"]), row["source"])
+    for row in _rows("protonation_rules.csv")
+)
 """Corrections of dimorphite-dl.
 
 [1] Perrin, Ionisation Constants of Inorganic Acids and Bases (1982). [2] Alberty, Goldberg, Biochemistry
@@ -189,38 +71,13 @@ Acids (1979). [13] Brauner-Osborne et al., J. Med. Chem. 43:2609 (2000). [14] Ko
 Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972). [18] Sjoback, Nygren, Kubista, Spectrochim.
 Acta A 51:L7 (1995): 6.43. [19] Meloun, Ferencikova, Netolicka, Pekarek, J. Chem. Eng. Data 56:3848 (2011):
 10.74 of ibandronate. The abstracts of [18] and [19] were read. Values of [8] to [17] could not be verified.
+The pKa of the imides and methylenes of ATP alone is 7.7 and 8.4. In sites they hold magnesium, as ATP, and
+have -4.
 """
-_SIGMA = (
-    (f"c-{_NITRO}", 1.24, 0.71, 1.25),
-    ("c-N=O", 1.2, 0.62, 1.6),
-    ("c-C#N", 1.32, 0.59, 0.88),
-    ("c-[CH]=O", 0.70, 0.42, 1.03),
-    ("c-C(=O)-[NX3]-c", 1.13, 0.28, 0.61),
-    ("c-C(=O)-[#7]", 0.70, 0.28, 0.61),
-    ("c-C(=O)-[O-]", -1.56, 0.0, 0.24),
-    ("c-C(=O)-[OX2]", 0.02, 0.37, 0.71),
-    ("c-,:[#6]=O", -0.06, 0.33, 0.84),
-    ("c-[CX4](F)(F)F", 0.43, 0.43, 0.56),
-    ("c-S(=O)(=O)-[O-]", 0.4, 0.38, 0.39),
-    ("c-S(=O)=O", 0.94, 0.64, 0.94),
-    ("c-[$([#6]=[#6]-[$([#6]=O),$(C#N),$([N+]=O)])]", 0.6, 0.2, 0.7),
-    ("c:[c;!$(c1ccccc1)]:c:c=O", 0.3, 0.2, 0.7),
-    ("c-[N,C]=C1C=CC(=O)C=C1", 0.5, 0.2, 0.8),
-    ("c-N=N", 0.3, 0.32, 0.70),
-    ("c-F", 0.54, 0.34, 0.06),
-    ("c-Cl", 0.68, 0.37, 0.23),
-    ("c-Br", 0.70, 0.39, 0.23),
-    ("c-I", 0.63, 0.35, 0.18),
-    ("c-[O-,S-]", -1.5, -0.7, -0.7),
-    ("c-[OX2H]", 0.22, 0.05, -0.10),
-    ("c-[OX2]-[$([CX4](F)F),$(C=O)]", 0.3, 0.38, 0.35),
-    ("c-[OX2]-c", 0.2, 0.25, 0.0),
-    ("c-[OX2]", 0.0, 0.12, -0.12),
-    ("c-[NX3]-[C,S]=O", 0.2, 0.21, 0.19),
-    ("c-[NX3]", -0.1, 0.02, -0.24),
-    ("c-c", 0.0, 0.06, 0.17),
-    ("c-[CX4]", -0.13, -0.07, -0.17),
-)  # fmt: skip
+_SIGMA = tuple(
+    (row["smarts"], (float(row["ortho"]), float(row["meta"]), float(row["para"])))
+    for row in _rows("substituents.csv")
+)
 """Constants of substituents at the carbon that a pattern begins with: ortho, meta, para to the hydroxyl.
 
 They are of phenols, from Perrin, Dempsey, Serjeant (1981) or as (9.92 - pKa) / 2.23 of the phenol with this
@@ -229,11 +86,9 @@ substituent alone, in [12]. The first pattern that matches counts.
 _HAMMETT = {"O": (9.92, 2.23), "S": (6.61, 1.5)}
 """pKa without substituents, and its change by sigma: of phenols (Perrin 1981), and the line through
 thiophenol and 4-nitrothiophenol of [12]."""
-_UNSURE = 0.4
-"""Deviations of a class of dimorphite-dl, in units of pH about one for its widest classes."""
+_UNSURE = 0.4  # Deviations of a class of dimorphite-dl, in units of pH about one for its widest classes.
 _AT_METAL = "[$([CH]#N),$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
 """Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, retains its proton."""
-_KNOWN = Path(__file__).with_name("net_charges.csv")
 _KNOWN_AT = 7.0
 _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
 """pH by which rules are shifted to a charge that is known."""
@@ -351,8 +206,7 @@ def net_charges() -> Mapping[str, int]:
     Ref. Data 31:231 (2002). Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3 has 10. Perrin
     (1965, 1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
     """
-    with _KNOWN.open() as lines:
-        return {row["skeleton"]: int(row["charge"]) for row in csv.DictReader(lines)}
+    return {row["skeleton"]: int(row["charge"]) for row in _rows("net_charges.csv")}
 
 
 def skeleton(molecule: Molecule) -> str:
@@ -436,26 +290,22 @@ def _settle_phenols(state: Any, ph: float) -> None:
         _change(atom, -atom.GetFormalCharge())
     while True:
         sigma: dict[int, tuple[float, float, float]] = {}
-        for smarts, *of_places in _SIGMA:
+        for smarts, of_places in _SIGMA:
             for carbon, *_ in _matches(state, smarts):
-                sigma.setdefault(carbon, (of_places[0], of_places[1], of_places[2]))
+                sigma.setdefault(carbon, of_places)
         pka: dict[int, float] = {}
         # The ring of a match is in order, from the carbon of the hydroxyl.
         for site, _, *ring in _matches(state, _PHENOL):
             if not state.GetAtomWithIdx(site).GetFormalCharge():
-                constants = [
-                    sigma.get(carbon, (0.0,) * 3)[place] for carbon, place in zip(ring, _PLACES, strict=True)
-                ]
+                # Ortho, meta and para, around a ring of six.
+                places = zip(ring, (0, 1, 2, 1, 0), strict=True)
+                constants = [sigma.get(carbon, (0.0,) * 3)[place] for carbon, place in places]
                 alone, slope = _HAMMETT[state.GetAtomWithIdx(site).GetSymbol()]
                 pka[site] = min(alone - slope * sum(constants), pka.get(site, np.inf))
         if not pka or min(pka.values()) >= ph:
             return
         _change(state.GetAtomWithIdx(min(pka, key=lambda k: (pka[k], k))), -1)
         state.UpdatePropertyCache(strict=False)
-
-
-_PLACES = (0, 1, 2, 1, 0)
-"""Ortho, meta and para, around a ring of six."""
 
 
 @lru_cache(maxsize=512)
@@ -523,7 +373,6 @@ def _states(smiles: str, ph: float, precision: float) -> list[Any]:
 
 @lru_cache(maxsize=64)
 def _state_smiles(smiles: str, ph: float, precision: float) -> tuple[str, ...]:
-    """SMILES of the states, by dimorphite-dl."""
     protonated = library("dimorphite_dl").protonate_smiles
     limit = 128 if precision else 1
     return tuple(protonated(smiles, ph_min=ph, ph_max=ph, precision=precision, max_variants=limit))

@@ -25,8 +25,7 @@ SAGE_2_2, SAGE_2_3 = (
     Path(__file__).with_name(f"openff_unconstrained-{version}.offxml") for version in ("2.2.1", "2.3.0")
 )
 """Sage: Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023). CC BY 4.0, see NOTICE."""
-_LARGEST = 10_000_000
-"""Bytes. Sage has 100 000."""
+_LARGEST = 10_000_000  # Bytes. Sage has 100 000.
 _MOST_MATCHES = 1_000_000
 _LENGTH, _SPRING, _PER_ANGLE, _ENERGY, _ANGLE = (1, 0, 0), (-2, 1, -1), (0, 1, -1), (0, 1, -1), (0, 0, 0)
 """Powers of length, energy and mole. Angles have no dimension."""

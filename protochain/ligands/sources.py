@@ -24,8 +24,7 @@ from protochain.ligands.dictionary import component
 from protochain.ligands.molecule import Molecule, build_mol, from_rdkit, quietly, to_rdkit
 from protochain.ligands.tables import CATEGORY, of_header, stereo
 
-_LARGEST = 10_000_000
-"""Bytes of a molecule. A model with its ligand is larger."""
+_LARGEST = 10_000_000  # Bytes of a molecule. A model with its ligand is larger.
 _MOL2 = "@<TRIPOS>MOLECULE"
 _LISTED = ", ".join(MOLECULE_SUFFIXES)
 _AROMATIC = 12
@@ -142,8 +141,7 @@ def records(text: str, suffix: str) -> list[str]:
     return [block for block in re.split(r"\n\$\$\$\$.*", text.replace("\r\n", "\n")) if block.strip()]
 
 
-_FARTHEST = 1e5
-"""Angstrom, as of structures."""
+_FARTHEST = 1e5  # Angstrom, as of structures.
 
 
 def as_filed(source: str) -> tuple[Molecule, str, str] | None:
@@ -233,17 +231,13 @@ def _of_tables(header: str, name: str, model: Mapping[str, tuple[str, int]]) -> 
     # The molecule without stereo, then with the stereo of our own table.
     _, organic = _without_metals(source, names, elements, charges, pairs, orders)
     plain = _sanitise(build_mol(*organic, None), source)
-    stereo_rows = [
-        {"kind": row.str(1), "atoms": row.str(2)}
-        for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
-        if row.str(0) == name
-    ]
+    table = block.find(CATEGORY, ["comp_id", "kind", "atoms"])
+    stereo_rows = [{"kind": row.str(1), "atoms": row.str(2)} for row in table if row.str(0) == name]
     parity, double = stereo(stereo_rows, plain.names, plain.bonds.tolist())
     if not any(parity) and not double:
         return plain, is_charged
-    handed = replace(
-        plain, handedness=read_only(parity, np.int64), double_bonds=read_only(double, np.int64).reshape(-1, 5)
-    )
+    double_bonds = read_only(double, np.int64).reshape(-1, 5)
+    handed = replace(plain, handedness=read_only(parity, np.int64), double_bonds=double_bonds)
     return from_rdkit(to_rdkit(handed), source), is_charged
 
 
@@ -292,8 +286,7 @@ def _without_metals(
 
 
 _VALENCE = {6: 4, 7: 3, 8: 2, 16: 2}
-_RING_ANIONS = 2
-"""Anions at most among the nitrogens of a macrocycle."""
+_RING_ANIONS = 2  # Anions at most among the nitrogens of a macrocycle.
 _DRAWN_AS = {"HEC": "HEM"}
 _CATIONS = ("7MG", "MGT")
 """7-Methylguanines that are drawn with a second hydrogen at C8 in the place of their charge."""

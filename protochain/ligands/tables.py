@@ -16,8 +16,7 @@ from protochain.ligands.molecule import Molecule, to_rdkit
 Rows = list[dict[str, str]]
 
 CATEGORY = "_protochain_ligand."
-_REMARK = "REMARK 981"
-"""A number that the PDB does not use."""
+_REMARK = "REMARK 981"  # A number that the PDB does not use.
 _ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
 _IN_REMARKS = {
     _ATOMS: ("atom", ("atom_id", "type_symbol", "charge")),

@@ -51,7 +51,7 @@ def test_what_no_rule_covers_is_reported():
 
 
 def test_patterns_are_valid_and_have_sources():
-    assert all(protonation._query(smarts) for smarts, *_ in protonation._SIGMA)
+    assert all(protonation._query(smarts) for smarts, _ in protonation._SIGMA)
     assert all(protonation._query(rule.smarts) and rule.source[-1] == "]" for rule in protonation.RULES)
 
 
