@@ -17,8 +17,7 @@ _SHOWN = {
     "temperature_k": "{:.0f} K",
 }
 """Values shown next to the bar, if present. The force is nan in runs in torsions, else the torque is."""
-_EVERY = 0.1
-"""s between updates of the bar."""
+_EVERY = 0.1  # s between updates of the bar.
 
 
 @check_arguments(total=optional(at_least(1)))
@@ -48,8 +47,6 @@ def progress(title: str = "", *, total: int | None = None) -> Watcher:
 
 
 class _Bar:
-    """Watcher of a run."""
-
     def __init__(self, title: str, total: int | None) -> None:
         from rich.console import Console
         from rich.progress import Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

@@ -39,9 +39,8 @@ def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
     yield Colouring("energy, kJ/mol", totals, is_signed=True)
     (_, start), *other_totals = totals.items()
     if other_totals:
-        yield Colouring(
-            "change of energy, kJ/mol", {name: total - start for name, total in other_totals}, is_signed=True
-        )
+        changes = {name: total - start for name, total in other_totals}
+        yield Colouring("change of energy, kJ/mol", changes, is_signed=True)
     for k, term in enumerate(TERMS):
         of_term = {name: values[k] for name, values in shares.items()}
         if any(values.any() for values in of_term.values()):

@@ -98,9 +98,9 @@ def compare(
         refuse_unknown(name, "setting", SETTINGS)
     runs = [Minimisation(recipe, tolerance=tolerance, **settings) for recipe in recipes.values()]
     chain, energy = with_energy(structure, energy)
-    reference_structure = None if reference is None else as_structure(reference)
-    if reference_structure is not None:
-        match(reference_structure, chain.structure)  # Raises before the work if nothing matches.
+    if reference is not None:
+        reference = as_structure(reference)
+        match(reference, chain.structure)  # Raises before the work if nothing matches.
     for run in runs:
         run.recipe.check(energy)
     # All runs share one start. Methods that do not repeat exactly run with several seeds.
@@ -121,6 +121,4 @@ def compare(
             (repeat_runs if k else solutions).append(solution)
         if interrupted:
             break
-    return Comparison(
-        chain.structure, tuple(solutions), reference=reference_structure, repeats=tuple(repeat_runs)
-    )
+    return Comparison(chain.structure, tuple(solutions), reference=reference, repeats=tuple(repeat_runs))

@@ -42,8 +42,7 @@ from protochain.validation.ramachandran import ramachandran
 
 _PACKAGES = ("openmm", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools", "pandas")
 
-_LEAST_OF_TM = 30
-"""Fewest residues for a TM-score, whose scale is meant for longer chains."""
+_LEAST_OF_TM = 30  # Fewest residues for a TM-score, whose scale is meant for longer chains.
 
 
 @document_fields
@@ -277,12 +276,9 @@ class Comparison:
             clear(folder)
             return _write_files(self, folder)
         except WriteError as error:
-            existing = ", ".join(
-                sorted(path.name for path in folder.glob("*") if not path.name.startswith("."))
-            )
-            raise error.with_saved(
-                f"{folder}: {existing}" if existing else "nothing", "run again with ", Argument("force", True)
-            ) from error
+            existing = sorted(path.name for path in folder.glob("*") if not path.name.startswith("."))
+            saved = f"{folder}: {', '.join(existing)}" if existing else "nothing"
+            raise error.with_saved(saved, "run again with ", Argument("force", True)) from error
 
     def write_page(self, path: Path) -> None:
         """Write only the page, one HTML file, as for a single run."""
@@ -308,6 +304,7 @@ def _as_json(table: pd.DataFrame, orient: Any) -> Any:
 
 def _write_files(comparison: Comparison, directory: Path) -> Path:
     name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
+    changes = comparison.differences
     tables = {
         "summary": comparison.table,
         "equal_cost": _with_unit(comparison.equal_cost, 2, "kj_mol"),
@@ -315,11 +312,9 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "spread": comparison.spread,
         "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
         "traces": comparison.traces,
-        "differences": pd.DataFrame(
-            [{"method": name, **difference.totals} for name, difference in comparison.differences.items()]
-        ),
-        "residue_differences": concatenate(comparison.differences, "residues"),
-        "bonds_changed": concatenate(comparison.differences, "bonds"),
+        "differences": pd.DataFrame([{"method": name, **change.totals} for name, change in changes.items()]),
+        "residue_differences": concatenate(changes, "residues"),
+        "bonds_changed": concatenate(changes, "bonds"),
     }
     # First, since it names the structures: files of an incomplete comparison can be replaced, too.
     write_text(directory / "summary.json", json_text(summary))
@@ -354,13 +349,14 @@ def _figures(comparison: Comparison) -> dict[str, Figure]:
 def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Figure]) -> str:
     """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file."""
     of_one, rows = len(comparison.solutions) == 1, comparison.table.to_dict("records")
+    ends, first = comparison.ends(), comparison.solutions[0]
     quality = comparison.quality.reset_index()
     if comparison.structure.n_protein_residues < _LEAST_OF_TM:
         quality = quality.drop(columns=[name for name in quality if "tm_score" in str(name)])
-    method = comparison.solutions[0].method if of_one else ""
+    subject = f" by {first.method}" if of_one else ": comparison of minimisers"
     return render(
         "report.html",
-        title=f"{comparison.structure.name}{f' by {method}' if of_one else ': comparison of minimisers'}",
+        title=f"{comparison.structure.name}{subject}",
         structure=comparison.structure,
         solutions=comparison.solutions,
         message=comparison.message,
@@ -378,10 +374,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
         spread=comparison.spread,
         figures={name: data_url(figure) for name, figure in figures.items()},
         summary=summary,
-        **scene(
-            comparison.ends(),
-            colourings(comparison.ends(), comparison.solutions[0].energy_function, comparison.differences),
-        ),
+        **scene(ends, colourings(ends, first.energy_function, comparison.differences)),
         command=shlex.join(summary["command"]),
     )
 

@@ -1,9 +1,9 @@
 """Deviation of one structure from another: superposition, RMSD and TM-score."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from protochain.core.arrays import Integers
 from protochain.core.checks import check_arguments, selection
@@ -152,31 +152,6 @@ def rmsd_table(
                 row["message"] = str(error)
             rows.append(row)
     return pd.DataFrame(rows)
-
-
-@dataclass(frozen=True)
-class RmsdFrames:
-    """Measure the deviation of every frame of an ensemble from a reference."""
-
-    reference: Structure
-    align: str = ALPHA  # align, measure: As in :func:`deviation`.
-    measure: str = ALPHA
-    name = "rmsd"
-    columns: ClassVar[tuple[str, ...]] = tuple(column.key for column in COLUMNS)
-    at_a_time = 8
-
-    def begin(self, structure: Structure, threads: int | None) -> Callable[[Structure], Any]:
-        """Return the function of a frame."""
-        return lambda frame: (deviation(self.reference, frame, self.align, self.measure).record(), None)
-
-    def settings(self) -> dict[str, Any]:
-        """Plain values that determine the rows."""
-        return {
-            "reference": self.reference.name,
-            "atoms of the reference": self.reference.fingerprint,
-            "positions of the reference": self.reference.positions_fingerprint,
-            "align": self.align, "measure": self.measure,
-        }  # fmt: skip
 
 
 def _atoms(reference: Structure, model: Structure, matches: Match, query: str) -> tuple[Integers, Integers]:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ENERGY = "energy_kj_mol"
-_MOST = 60.0
-"""kJ/mol above the lowest: upper limit of the map."""
+_MOST = 60.0  # kJ/mol above the lowest: upper limit of the map.
 
 
 @check_arguments(relax=flag, watch=function("done", "total"))

@@ -60,14 +60,10 @@ HEADINGS: Mapping[str, str] = MappingProxyType(
 Mask = NDArray[np.bool_]
 EXTRA = "quality"
 """Extra of the package with peppr."""
-_CONTACT = 0.5
-"""nm between heavy atoms of residues in contact: Basu, Wallner, PLoS ONE 11:e0161879 (2016)."""
-_POCKET = 1.0
-"""nm from a ligand within which residues are of its pocket, as in DockQ 2."""
-_SAME_STRAND = 0.8
-"""Least share of equal nucleotides of corresponding strands."""
-_MOST_ORDERS = 10_000
-"""Numberings of a symmetric ligand that are tried."""
+_CONTACT = 0.5  # nm between heavy atoms of residues in contact: Basu, Wallner, PLoS ONE 11:e0161879 (2016).
+_POCKET = 1.0  # nm from a ligand within which residues are of its pocket, as in DockQ 2.
+_SAME_STRAND = 0.8  # Least share of equal nucleotides of corresponding strands.
+_MOST_ORDERS = 10_000  # Numberings of a symmetric ligand that are tried.
 
 
 @check_arguments()

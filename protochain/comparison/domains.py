@@ -17,10 +17,8 @@ TOLERANCE = 0.2
 """nm. Largest distance of a residue from its position by the domain's motion."""
 LEAST = 20
 """Fewest residues of a domain, and number of neighbours from which it grows."""
-_SEEDS = 100
-"""Number of seeds, evenly along the sequence, from which domains grow."""
-_MOST_STEPS = 50
-"""Limit of superpositions of one growth, which may alternate at its end."""
+_SEEDS = 100  # Number of seeds, evenly along the sequence, from which domains grow.
+_MOST_STEPS = 50  # Limit of superpositions of one growth, which may alternate at its end.
 
 
 class Domain(NamedTuple):

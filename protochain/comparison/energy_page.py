@@ -10,7 +10,6 @@ from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.energies.protocol import Energy
 from protochain.results.columns import heading
 from protochain.results.page import table_data, write_page
-from protochain.results.provenance import command_line
 from protochain.results.viewer import scene
 from protochain.structure import Structure
 
@@ -32,7 +31,6 @@ def write_energies(
         energy=energy,
         terms=_with_units(terms[terms.any(axis=1)]).rename_axis("term").rename(heading).reset_index(),
         data=table_data(_with_units(ranked[[*columns, "total", *TERMS]])),
-        command=command_line(),
         **scene({structure.name: structure}, colourings, first.name),
     )
 

@@ -26,18 +26,12 @@ from protochain.structure.superpose import motion
 
 FLAT = 1.0
 """kJ/mol/rad. Largest torque of a minimum, as for minimisers."""
-
 TEMPERATURE = 300.0
 """K."""
-
 FRAMES = 20
 """Frames of one swing of a mode."""
-
-_STILL = 1e-9
-"""nm. Joint change of all C-alphas that is only rounding."""
-
-_B = 8.0 * np.pi**2 / 3.0
-"""B factor for a mean square displacement of 1."""
+_STILL = 1e-9  # nm. Joint change of all C-alphas that is only rounding.
+_B = 8.0 * np.pi**2 / 3.0  # B factor for a mean square displacement of 1.
 
 
 @document_fields
@@ -186,7 +180,7 @@ class NormalModes(Value):
         ProtochainError
             If a mode is not above zero, because such a point has no equilibrium.
         """
-        kt = MOLAR_GAS * checked_temperature(temperature)
+        kt = MOLAR_GAS * positive(temperature, "temperature", "kelvin")
         if not self.is_stable:
             raise ProtochainError(
                 f"{self.chain.structure.name}: mode 0 has {self.frequencies[0]:.3g} 1/cm, so there is no "
@@ -335,7 +329,7 @@ class NormalModes(Value):
         ProtochainError
             If only some of the modes are known, or one is not above zero.
         """
-        kt = MOLAR_GAS * checked_temperature(temperature)
+        kt = MOLAR_GAS * positive(temperature, "temperature", "kelvin")
         if self.n_negative or self.max_torque > FLAT:
             raise ProtochainError(f"{self.chain.structure.name}: has no entropy, as it is {self.verdict}")
         hbar, n = MOLAR_PLANCK / (2.0 * np.pi), self.n_freedoms
@@ -378,7 +372,7 @@ class NormalModes(Value):
         ------
         (na, 3) float, nm
         """
-        amplitude, motion = checked_amplitude(amplitude), self.displacements(mode)
+        amplitude, motion = positive(amplitude, "amplitude", "angstrom"), self.displacements(mode)
         alpha = self.chain.structure.alpha_carbons
         motion = motion[alpha] if len(alpha) else motion
         size = float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))) * ANGSTROM_PER_NM
@@ -425,17 +419,8 @@ def _without_rigid(displacements: Floats, x: Floats) -> Floats:
     return flat - rigid @ (rigid.T @ flat)
 
 
-def checked_temperature(temperature: Any) -> float:
-    """Return a temperature in K if it is above zero."""
-    return _positive(temperature, "temperature", "kelvin")
-
-
-def checked_amplitude(amplitude: Any) -> float:
-    """Return an amplitude in angstrom if it is above zero."""
-    return _positive(amplitude, "amplitude", "angstrom")
-
-
-def _positive(value: Any, name: str, unit: str) -> float:
+def positive(value: Any, name: str, unit: str) -> float:
+    """Return a number or Quantity in a unit if it is above zero."""
     number = quantity(unit)(value, name)
     if not 0.0 < number < np.inf:
         raise refusal(name, number, "give a number above 0")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
 from protochain.results.figures import data_url, outside, panels
 from protochain.results.page import write_page
-from protochain.results.provenance import command_line
 from protochain.results.tables import save
 from protochain.results.viewer import library
 from protochain.structure import save as save_structure
@@ -25,14 +25,7 @@ from protochain.structure.write import as_text
 
 MOVING = 5
 """Number of lowest modes whose swings are written and shown."""
-
-_LEAST = 1e-3
-"""angstrom. Shorter displacements are not drawn."""
-
-
-def _structure(modes: NormalModes) -> Any:
-    return modes.chain.structure
-
+_structure = attrgetter("chain.structure")
 
 COLUMNS = (
     Column("structure", lambda m: m.chain.structure.name),
@@ -98,10 +91,8 @@ def write_modes(
     full_record = record_of(modes, temperature) | dict(extra)
     if model is not None:
         table["overlap"], table["cumulative_overlap"] = modes.overlap(model), modes.cumulative_overlap(model)
-        full_record |= {
-            "other": model.name,
-            "cumulative_overlap": float(table["cumulative_overlap"].iloc[-1]),
-        }
+        share = float(table["cumulative_overlap"].iloc[-1])
+        full_record |= {"other": model.name, "cumulative_overlap": share}
     shown = None
     if modes.is_stable and len(modes.chain.structure.alpha_carbons):
         tables["fluctuations.csv"] = modes.fluctuations(temperature)
@@ -129,7 +120,6 @@ def write_modes(
         format=suffix.removeprefix("."),
         models=[text(end) for end in (structure, *ends)],
         amplitude=amplitude,
-        command=command_line(),
         size=plural(structure.n_protein_residues, "residue"),
     )
     write_text(folder / "summary.json", json_text(full_record, 1) + "\n")

@@ -27,39 +27,28 @@ from protochain.comparison.hessian import Torques, torques_at
 from protochain.comparison.modes import NormalModes
 from protochain.comparison.pair_hessian import applies
 from protochain.core.arrays import Floats, floats, read_only
-from protochain.core.checks import at_least, check_arguments, one_of, text
+from protochain.core.checks import at_least, check_arguments, one_of
 from protochain.core.errors import Fault, ProtochainError
 from protochain.mechanics import multibody
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.spaces import Torsions, motions_of_whole
 
 METHODS = ("auto", "dense", "products")
-
 DENSE = 1000
 """Freedoms up to which ``auto`` computes the whole Hessian by differences. The lowest modes need about 700
 products, for any number of freedoms."""
-
 MOST, ANALYTIC = 6000, 16000
 """Limits of freedoms by differences, and with an analytic Hessian. Five matrices of 6000 need 1.4 GB, a
 single matrix of 16000 with work arrays 3 GB and an hour."""
-
 ALL = 2000
 """Freedoms up to which all eigenvalues of the whole Hessian are computed, in half a minute at this size."""
-
 RESIDUAL = 1e-8
 """Largest |K a - w^2 M a| of a mode, relative to |K| |a|: about the error of differences."""
-
-_FLOOR = 1.0
-"""kJ/mol/rad^2, stiffness of the softest turns, added to the near terms."""
-
+_FLOOR = 1.0  # kJ/mol/rad^2, stiffness of the softest turns, added to the near terms.
 _SHIFT = 0.01
 """1/ps^2, the least s of K + s M, of half a wavenumber, increased tenfold while negative modes need it."""
-
-_GUARDS = 4
-"""Additional modes of the search, so that the last of the k modes converges too."""
-
-_SWEEPS = 200
-"""Limit of the iterations of LOBPCG, of which 60 are usual."""
+_GUARDS = 4  # Additional modes of the search, so that the last of the k modes converges too.
+_SWEEPS = 200  # Limit of the iterations of LOBPCG, of which 60 are usual.
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,25 +108,23 @@ class Inertia:
     def matrix(self) -> Floats:
         """Mass matrix (n, n)."""
         momenta, block = self._rigid_momenta
-        block_of_freedoms = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
-        momenta_of_freedoms = momenta[self.freedoms]
-        block_of_freedoms = block_of_freedoms - momenta_of_freedoms @ np.linalg.solve(
-            block, momenta_of_freedoms.T
-        )
-        return 0.5 * (block_of_freedoms + block_of_freedoms.T)
+        momenta = momenta[self.freedoms]
+        full = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
+        matrix = full - momenta @ np.linalg.solve(block, momenta.T)
+        return 0.5 * (matrix + matrix.T)
 
     def log_det(self) -> float:
         """Logarithm of the determinant, in O(n): det M = det M_s det T^T M T / det T_root^2."""
         log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
             return log_det_tree
-        whole_mass, root = self._rigid_momenta[1], self.rigid[self._root]
-        return (
-            log_det_tree - float(np.linalg.slogdet(whole_mass)[1]) + 2.0 * float(np.linalg.slogdet(root)[1])
+        whole_mass, root = (
+            float(np.linalg.slogdet(matrix)[1]) for matrix in (self._rigid_momenta[1], self.rigid[self._root])
         )
+        return log_det_tree - whole_mass + 2.0 * root
 
 
-@check_arguments(k=at_least(1), method=text)
+@check_arguments(k=at_least(1), method=one_of(METHODS))
 def normal_modes(
     chain: Any, energy: Any = None, q: Any = None, k: int = 20, *, method: str = "auto"
 ) -> NormalModes:
@@ -180,12 +167,12 @@ def normal_modes(
     >>> pc.normal_modes(at_minimum, k=3).frequencies.shape
     (3,)
     """
-    check_modes(k, method)
     began = perf_counter()
     cut, energy_used = with_energy(chain, energy)
     start = cut.q0 if q is None else floats(q, (cut.n_q,), "q")
     held_by = frame_of(cut, energy_used).held_by
-    chain, start = (cut, start) if held_by else _free_root(cut, start)
+    chain = cut if held_by else with_free_root(cut)
+    start = start if held_by else transfer_coordinates(cut, chain, start)
     # Solve K a = w^2 M a without the rigid motions of a free chain.
     torques = torques_at(chain, energy_used, start)
     at = pose(chain, torques.q)
@@ -195,7 +182,13 @@ def normal_modes(
     if n == 0:
         raise ProtochainError(f"{chain.structure.name}: it has no internal motion; open more hinges")
     analytic = applies(torques.energy)
-    _refuse_many(chain, n, analytic and method != "products")
+    limit, remedy = MOST, ", or use OBC2 without a cutoff, whose Hessian is analytic"
+    if analytic and method != "products":
+        limit, remedy = ANALYTIC, ""
+    if n > limit:  # More do not fit into memory and an hour.
+        raise ProtochainError(
+            f"{chain.structure.name}: {n} freedoms exceed the limit of {limit}; open fewer hinges{remedy}"
+        )
     dense = method == "dense" or (method == "auto" and (analytic or n <= DENSE))
     solve = _dense if dense else _by_products
     eigenpairs = solve(torques, inertia, min(k, n))
@@ -219,28 +212,6 @@ def normal_modes(
     )
 
 
-def check_modes(k: int, method: str) -> None:
-    """Raise an error for a number of modes below 1, or an unknown method."""
-    at_least(1)(k, "modes"), one_of(METHODS)(method, "method")
-
-
-def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
-    """Raise an error for more freedoms than fit into memory and an hour."""
-    limit = ANALYTIC if analytic else MOST
-    if n > limit:
-        alternative = "" if analytic else ", or use OBC2 without a cutoff, whose Hessian is analytic"
-        raise ProtochainError(
-            f"{chain.structure.name}: {n} freedoms exceed the limit of {limit}; open fewer hinges"
-            f"{alternative}"
-        )
-
-
-def _free_root(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
-    """Chain whose roots fixed by ``auto`` are free, and its coordinates."""
-    free_chain = with_free_root(chain)
-    return free_chain, transfer_coordinates(chain, free_chain, q)
-
-
 @dataclass(frozen=True, eq=False)
 class _Eigenpairs:
     """Eigenpairs: values (k,), vectors (n, k) with a^T M a = 1, residuals and errors (k,), and all values."""
@@ -256,7 +227,7 @@ class _Eigenpairs:
 
 
 def _largest(stiffness: Floats) -> float:
-    """Largest eigenvalue of K, by Lanczos."""
+    """Largest eigenvalue, by Lanczos."""
     n = len(stiffness)
     if n < 20:
         return float(np.linalg.eigvalsh(stiffness)[-1])
@@ -287,9 +258,8 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     lowest = vectors[:, :k]
     misfit = stiffness @ lowest - mass @ lowest * values[:k]
     largest, log_det = float(values[-1]), _log_det(stiffness)
-    return _with_errors(
-        values[:k], lowest, misfit, norm, largest=largest, products=0, spectrum=values, log_det=log_det
-    )
+    data: dict[str, Any] = {"largest": largest, "products": 0, "spectrum": values, "log_det": log_det}
+    return _with_errors(values[:k], lowest, misfit, norm, **data)
 
 
 def _log_det(stiffness: Floats) -> float | None:
@@ -323,11 +293,9 @@ class _Factored:
         return not dpotrf(self.matrix, lower=1, clean=0, overwrite_a=1)[1]
 
     def solve(self, b: Floats) -> Floats:
-        """Solution of the factorised equations."""
         return np.asarray(dpotrs(self.matrix, b, lower=1)[0])
 
     def log_det(self) -> float:
-        """Logarithm of the determinant of the factorised matrix."""
         return 2.0 * float(np.sum(np.log(np.diagonal(self.matrix))))
 
 
@@ -348,9 +316,8 @@ def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Eigenpairs:
     while not stiffness.factorise(partial(inertia.column, shift)):
         shift *= 10.0
     values, lowest = eigsh(k_op, k=k, M=m_op, sigma=-shift, OPinv=inverse, v0=start)
-    misfit = np.stack(
-        [stiffness @ a - inertia.times(a) * value for a, value in zip(lowest.T, values, strict=True)]
-    )
+    pairs = zip(lowest.T, values, strict=True)
+    misfit = np.stack([stiffness @ a - inertia.times(a) * value for a, value in pairs])
     return _with_errors(values, lowest, misfit.T, norm, largest=largest, products=0, log_det=log_det)
 
 
@@ -374,12 +341,9 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     k_op, m_op = operator(stiffness), operator(inertia.times)
     norm = float(eigsh(k_op, k=1, tol=0.05, return_eigenvectors=False, v0=np.ones(n))[0])
     try:
-        largest = float(
-            eigsh(
-                k_op, k=1, M=m_op, Minv=operator(inertia.solve), tol=1e-3, return_eigenvectors=False,
-                v0=np.ones(n),
-            )[0]
-        )  # fmt: skip
+        inverse_mass = operator(inertia.solve)
+        options: dict[str, Any] = {"k": 1, "tol": 1e-3, "return_eigenvectors": False, "v0": np.ones(n)}
+        largest = float(eigsh(k_op, M=m_op, Minv=inverse_mass, **options)[0])
     except ArpackNoConvergence:
         largest = np.nan
     # Modes of the model are the first guess, and its factor is the preconditioner.

@@ -6,6 +6,7 @@ adds P^T E_BB P + P^T E_Bx J + J^T E_xB P + sum E_B B'' dI dI^T with P = dB/dq, 
 Bonded terms only change with the hinges between their atoms, so that many hinges may turn at once.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -25,14 +26,10 @@ from protochain.minimisers.torsion_kernels import _inward_order, _motions
 
 kernels: Any = pair_kernels
 
-_ROWS = 256
-"""Number of atoms in a block of second derivatives in Born radii."""
-_PART = 32
-"""Number of atoms in a task of a thread."""
-_KEPT = 64e6
-"""Bytes of stored derivatives of Born radii, or half of the result's bytes for large molecules."""
-_BODIES = 64
-"""Number of bodies in a block of rows."""
+_ROWS = 256  # Number of atoms in a block of second derivatives in Born radii.
+_PART = 32  # Number of atoms in a task of a thread.
+_KEPT = 64e6  # Bytes of stored derivatives of Born radii, or half of the result's bytes for large molecules.
+_BODIES = 64  # Number of bodies in a block of rows.
 _COLUMNS = 16
 """Parts of the other bodies for threads, so that the order of sums is independent of their number."""
 
@@ -58,7 +55,10 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     matrix, zeros = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
     solvated: tuple[Any, ...] = (False, zeros, zeros, zeros, zeros, False, zeros, (0.0, 0.0))
     with ThreadPoolExecutor(energy.threads) as pool:
-        share = _shares(pool)
+
+        def share(do: Callable[[Any], None], parts: Any) -> None:
+            deque(pool.map(do, parts), maxlen=0)
+
         if terms.solvent is not None:
             born = energy.born_radii(at.x)[by_body]
             solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
@@ -71,14 +71,6 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
 
 Share = Callable[[Callable[[Any], None], Any], None]
 """Calls a function for each part, in threads."""
-
-
-def _shares(pool: ThreadPoolExecutor) -> Share:
-    def share(do: Callable[[Any], None], parts: Any) -> None:
-        for _ in pool.map(do, parts):
-            pass
-
-    return share
 
 
 def symmetrise(matrix: Floats) -> None:
@@ -169,9 +161,7 @@ def _add_radii(
     def derivatives(begin: int, end: int, to: Floats) -> Floats:
         share(partial(_call_kernel, kernels.integrals, (*arguments, integral, to), begin), _parts(begin, end))
         chunk = slice(begin, end)
-        slope[chunk], bend[chunk] = born_radii(integral[chunk], offset[chunk], radius[chunk], shape[chunk])[
-            1:
-        ]
+        _, slope[chunk], bend[chunk] = born_radii(integral[chunk], offset[chunk], radius[chunk], shape[chunk])
         to = to[: end - begin]
         to *= slope[chunk, None]
         return to

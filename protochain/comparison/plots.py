@@ -16,12 +16,9 @@ from protochain.results.figures import outside, panels, plain
 from protochain.structure import Structure
 from protochain.validation.ramachandran import ALLOWED, CLASSES, FAVOURED, ramachandran, tables
 
-_LOG_FROM = 1e4
-"""kJ/mol. A larger drop, as from a relieved clash, needs a logarithmic axis."""
-_SMALL = 7.0
-"""Points of the numbers in cells."""
-_SAME = 0.1
-"""kJ/mol above the lowest, lower limit of a logarithmic axis: less is the same minimum."""
+_LOG_FROM = 1e4  # kJ/mol. A larger drop, as from a relieved clash, needs a logarithmic axis.
+_SMALL = 7.0  # Points of the numbers in cells.
+_SAME = 0.1  # kJ/mol above the lowest, lower limit of a logarithmic axis: less is the same minimum.
 
 
 def plot_energy(
@@ -32,13 +29,13 @@ def plot_energy(
     groups = _drawn_groups(traces, groups) if ax is None else {"all runs": [*traces["method"].unique()]}
     _, grid = panels(ax, (max(1, len(groups)), 2), (7, 0.7 + 2.4 * max(1, len(groups))), sharey="row")
     if traces.empty:
-        return _set_title(grid, ax, f"{_plain_text(title)}: no finite energy")
+        return _set_title(grid, ax, f"{title}: no finite energy")
     styles = _styles(traces["method"].unique())
     for axes, (name, methods) in zip(grid.reshape(len(groups), -1), groups.items(), strict=True):
         runs = traces[traces["method"].isin(methods)]
         best = runs.groupby("method", sort=False)["energy_kj_mol"].cummin()
         finding = _end_lowest(best.groupby(runs["method"], sort=False).min())
-        axes[0].set_title(f"{_plain_text(title)}, {name}: {finding}", loc="left")
+        axes[0].set_title(_plain_text(f"{title}, {name}: {finding}"), loc="left")
         logarithmic = best.iloc[0] - best.min() > _LOG_FROM
         if logarithmic:
             best = (best - best.min()).clip(lower=_SAME)
@@ -81,7 +78,7 @@ def plot_work_precision(
     outside(axes_grid)
     near = work.set_index("method")["evaluations_within_10_kj_mol"].dropna()
     first = f"{near.idxmin()} is the first, after {near.min():.0f} evaluations" if len(near) else "none comes"
-    return _set_title(axes_grid, ax, f"{_plain_text(title)}: {first}, within 10 kJ/mol of the lowest end")
+    return _set_title(axes_grid, ax, f"{title}: {first}, within 10 kJ/mol of the lowest end")
 
 
 def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
@@ -93,19 +90,20 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     note = f"\nnot recorded while all atoms move: {', '.join(free)}" if len(free) else ""
     traces = traces[drawn]
     if traces.empty:
-        return _set_title(axes, ax, f"{_plain_text(title)}: no run in torsions")
+        return _set_title(axes, ax, f"{title}: no run in torsions")
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
     outside(axes)
     last = traces.groupby("method", sort=False)["max_torque_kj_mol_rad"].last()
     text = f"the largest torque on a hinge falls to {last.min():.3g} kJ/mol/rad ({last.idxmin()})"
-    return _set_title(axes, ax, f"{_plain_text(title)}: {text}{note}")
+    return _set_title(axes, ax, f"{title}: {text}{note}")
 
 
 def _set_title(axes: Any, ax: Any, title: str) -> PlainFigure:
     """Figure of the Axes, with a title above all panels, or above the first of the user's Axes."""
     figure: PlainFigure = axes[0].figure
+    title = _plain_text(title)
     if ax is None:
         wide = int(13 * figure.get_figwidth())
         figure.suptitle("\n".join(fill(line, wide) for line in title.split("\n")))
@@ -154,7 +152,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = No
         _draw_between(axes[1], rmsd)
     ends = traces.groupby("method", sort=False)["ca_rmsd_angstrom"].last()
     far = f"{ends.min():.2f} to {ends.max():.2f}" if len(ends) > 1 else f"{ends.max():.2f}"
-    return _set_title(axes, ax, f"{_plain_text(title)}: C-alphas move by {far} angstrom (RMSD to the start)")
+    return _set_title(axes, ax, f"{title}: C-alphas move by {far} angstrom (RMSD to the start)")
 
 
 def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
@@ -192,7 +190,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     plain(panel)
     moved = displacements.iloc[:, 3:].max(axis=1)
     text = f"no C-alpha moves by more than {moved.max():.1f} angstrom from the start (all superposed)"
-    return _set_title(axes, ax, f"{_plain_text(title)}: {text}")
+    return _set_title(axes, ax, f"{title}: {text}")
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
@@ -221,13 +219,12 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
         panel.set_xticks([*places], [*places.values()])
         plain(panel)
     far = max((table["ca_moved_angstrom"].max() for table in changes.values()), default=0.0)
-    text = f"{_plain_text(title)}: no C-alpha moves by more than {far:.1f} angstrom"
+    text = f"{title}: no C-alpha moves by more than {far:.1f} angstrom"
     return _set_title(axes, ax, text if title else "")
 
 
 _CHIS = ("chi1", "chi2", "chi3", "chi4")
-_PLACES = 12
-"""Number of residues that an axis names, more if there are more chains."""
+_PLACES = 12  # Number of residues that an axis names, more if there are more chains.
 
 
 def residue_places(chain: Any, number: Any) -> dict[int, str]:
@@ -241,26 +238,31 @@ def residue_places(chain: Any, number: Any) -> dict[int, str]:
 
 def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> PlainFigure:
     """Ramachandran plots of the start and of every end."""
-    columns = min(3, len(angles))
-    rows = -(-len(angles) // columns)
-    shape = (rows, columns) if ax is None else len(angles)
-    size = (3.4 * columns, 3.3 * rows)
-    _, axes = panels(ax, shape, size, least=len(angles), sharex=True, sharey=True)
+    axes = _panels_of_angles(len(angles), (3.4, 3.3), ax)
     for panel, (name, values) in zip(axes, angles.items(), strict=False):
         ramachandran_ground(panel)
         panel.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
         panel.set_title(name)
+    if ax is None:
+        return _set_title(axes, ax, f"{title}: phi and psi")
+    figure: PlainFigure = axes[0].figure
+    return figure
+
+
+def _panels_of_angles(n: int, size: tuple[float, float], ax: Any = None) -> Any:
+    """Axes of phi and psi for n panels of a size, in rows of three with labels on the outer ones."""
+    columns = min(3, n) or 1
+    rows = -(-n // columns) or 1
+    shape = (rows, columns) if ax is None else n
+    _, axes = panels(ax, shape, (size[0] * columns, size[1] * rows), least=n, sharex=True, sharey=True)
     for k, panel in enumerate(axes):
-        panel.set_visible(k < len(angles))
-        if ax is not None or k + columns >= len(angles):
+        panel.set_visible(k < n)
+        if ax is not None or k + columns >= n:
             panel.set_xlabel("phi, degrees")
             panel.tick_params(labelbottom=True)
         if ax is not None or k % columns == 0:
             panel.set_ylabel("psi, degrees")
-    if ax is None:
-        return _set_title(axes, ax, f"{_plain_text(title)}: phi and psi")
-    figure: PlainFigure = axes[0].figure
-    return figure
+    return axes
 
 
 def plot_ramachandran_classes(ends: Mapping[str, Structure]) -> PlainFigure:
@@ -268,9 +270,7 @@ def plot_ramachandran_classes(ends: Mapping[str, Structure]) -> PlainFigure:
     results = {name: ramachandran(end) for name, end in ends.items()}
     last_name, last = list(results.items())[-1]
     kinds = np.unique(np.concatenate([result.kind for result in results.values()])).tolist()
-    columns = min(3, len(kinds)) or 1
-    rows = -(-len(kinds) // columns) or 1
-    _, axes = panels(None, (rows, columns), (3.1 * columns, 3.2 * rows), sharex=True, sharey=True)
+    axes = _panels_of_angles(len(kinds), (3.1, 3.2))
     for panel, kind in zip(axes, kinds, strict=False):
         ramachandran_ground(panel, kind)
         for name, result in results.items():
@@ -287,13 +287,6 @@ def plot_ramachandran_classes(ends: Mapping[str, Structure]) -> PlainFigure:
                 text = f" {ends[name].residue(r)} "
                 panel.text(x, y, text, fontsize=8, ha=side, va="bottom" if y < 0.0 else "top")
         panel.set_title(f"{CLASSES[kind].replace('_', ' ')}: {int((last.kind == kind).sum())}")
-    for k, panel in enumerate(axes):
-        panel.set_visible(k < len(kinds))
-        if k + columns >= len(kinds):
-            panel.set_xlabel("phi, degrees")
-            panel.tick_params(labelbottom=True)
-        if k % columns == 0:
-            panel.set_ylabel("psi, degrees")
     counts = " to ".join(str(len(result.outliers)) for result in results.values())
     favoured = f"{last.favoured_percent:.1f} % favoured, " if len(last.kind) else ""
     rings = f"; rings: {next(iter(results))}" if len(results) > 1 else ""

@@ -71,7 +71,6 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
 
 
 def _alone(structure: Structure, chain: Chain | None) -> dict[str, Any]:
-    """Measures of a single structure."""
     return {
         "radius_of_gyration_angstrom": radius_of_gyration(structure),
         "overlaps": len(overlaps(structure, structure.positions, chain)),

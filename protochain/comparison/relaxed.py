@@ -14,7 +14,6 @@ from protochain.relaxation.record import before_and_after
 from protochain.results.columns import energies_by_term
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
-from protochain.results.provenance import command_line
 from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
 from protochain.structure import Structure
 from protochain.structure.molecule.repairs import loss_lines
@@ -30,7 +29,8 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     figure = plot_differences(
         {name: difference.residues for name, difference in changes.items()}, relaxation.start.name
     )
-    bonds = hydrogen_bonds(relaxation.structure)[:, [0, 2]] if relaxation.start.ligands else _NO_PAIRS
+    no_pairs = np.empty((0, 2), dtype=np.int64)
+    bonds = hydrogen_bonds(relaxation.structure)[:, [0, 2]] if relaxation.start.ligands else no_pairs
     named = named_residues(relaxation, changes)
     write_page(
         path,
@@ -44,7 +44,6 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         bonds_changed=concatenate(changes, "bonds"),
         figure=data_url(figure),
         ramachandran=data_url(plot_ramachandran_classes(relaxation.ends())),
-        command=command_line(),
         name=strength.name,
         source=strength.source,
         pockets=pockets(relaxation.start, bonds, relaxation.start.positions, relaxation.x),
@@ -52,11 +51,9 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     )
 
 
-_NAMED = 10
-"""Number of residues that are listed as those that moved or turned most."""
+_NAMED = 10  # Number of residues that are listed as those that moved or turned most.
 _MOVED, _TURNED = 0.1, 10.0
 """Least displacement of a C-alpha, angstrom, and change of torsions (RMS), degrees, of listed residues."""
-_NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 
 
 def named_residues(
@@ -65,13 +62,11 @@ def named_residues(
     """Most interesting residues by kind: their keys in the viewer, and text."""
     s = relaxation.start
     before, after = (_outliers(Findings(s, x)) for x in (s.positions, relaxation.x))
-    groups = {
-        f"New {kind}": [(r, "") for r in sorted(residues - before[kind])] for kind, residues in after.items()
-    } | {
-        f"Resolved {kind}": [(r, "") for r in sorted(before[kind] - residues)]
-        for kind, residues in after.items()
-    }
-    place = {indices: r for r, indices in enumerate(residue_keys(s).tolist())}
+    new = {f"New {kind}": residues - before[kind] for kind, residues in after.items()}
+    resolved = {f"Resolved {kind}": before[kind] - residues for kind, residues in after.items()}
+    groups = {label: [(r, "") for r in sorted(residues)] for label, residues in (new | resolved).items()}
+    keys = residue_keys(s).tolist()
+    place = {key: r for r, key in enumerate(keys)}
     for difference in changes.values():
         table = difference.residues
         indices = [place.get(f"{chain.strip()}:{number}", -1)
@@ -85,15 +80,13 @@ def named_residues(
                 (r, f", {value:.2g}{unit}" if value < 10 else f", {value:.0f}{unit}")
                 for r, value in zip(largest["where"], largest[column], strict=True) if r >= 0
             ]  # fmt: skip
-    keys = residue_keys(s)
     return {
-        label: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in residues]
+        label: [(keys[r], f"{s.residue(r)}{words}") for r, words in residues]
         for label, residues in groups.items() if residues
     }  # fmt: skip
 
 
 def _outliers(findings: Findings) -> dict[str, set[int]]:
-    """Residues of each kind of outlier."""
     residue_of, rama = findings.structure.atom_residue, findings.ramachandran
     return {
         "violations": set(findings.violations.residues.tolist()),

@@ -10,16 +10,13 @@ import pandas as pd
 from protochain.chains.setup import Setup
 from protochain.comparison.docking import DOCKING
 from protochain.results.page import table_data, write_page
-from protochain.results.provenance import command_line
 from protochain.results.viewer import library, residue_keys
 from protochain.structure.select import sides
 from protochain.structure.write import as_text, common_suffix
 from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES, Interface
 
-_MOST = 20
-"""Limit of interfaces with structures on the page, each up to a megabyte."""
-_FULL = 10.0
-"""kJ/mol of a residue at which the colour saturates."""
+_MOST = 20  # Limit of interfaces with structures on the page, each up to a megabyte.
+_FULL = 10.0  # kJ/mol of a residue at which the colour saturates.
 
 
 def write_scored(
@@ -37,7 +34,6 @@ def write_scored(
         models=[_model(interface, row) for interface, row in zip(interfaces[:_MOST], rows, strict=False)],
         full=_FULL,
         library=library(),
-        command=command_line(),
         forcefield=setup.forcefield,
         solvent=setup.solvent_label,
         version=version("protochain"),
@@ -52,33 +48,21 @@ _FIRST = (
 
 
 def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
-    """Rows with their ranks, for a page."""
-    table = pd.DataFrame(
-        [
-            {"rank": place, "file": Path(row["file"]).name, "interface": row["interface"]}
-            | {key: row[key] for key in scores}
-            for place, row in enumerate(rows, 1)
-        ],
-        columns=["rank", "file", "interface", *scores],
-    )
-    return table_data(table.infer_objects(), _FIRST)
+    names = ({"rank": k, "file": Path(row["file"]).name} for k, row in enumerate(rows, 1))
+    keys = ["interface", *scores]
+    cells = [{**name, **{key: row[key] for key in keys}} for name, row in zip(names, rows, strict=True)]
+    return table_data(pd.DataFrame(cells, columns=["rank", "file", *keys]).infer_objects(), _FIRST)
 
 
 def _model(interface: Interface, row: Mapping[str, Any]) -> dict[str, Any]:
     """Data of an interface for the viewer: atoms, residues of each side, and energies of residues."""
-    structure = interface.structure
-    suffix = common_suffix([structure])
-    places = residue_keys(structure)
-    table = interface.residues
+    structure, table = interface.structure, interface.residues
+    suffix, places = common_suffix([structure]), residue_keys(structure)
+    shares = zip(table["chain"], table["residue"], table["energy_kj_mol"], strict=True)
     return {
         "name": f"{Path(row['file']).name} {interface.name}",
         "format": suffix.removeprefix("."),
         "text": as_text(structure, suffix, hydrogens=False),
         "sides": [places[side].tolist() for side in sides(structure, interface.first, interface.second)],
-        "shares": {
-            f"{chain}:{residue}": round(float(share), 2)
-            for chain, residue, share in zip(
-                table["chain"], table["residue"], table["energy_kj_mol"], strict=True
-            )
-        },
+        "shares": {f"{chain}:{residue}": round(float(share), 2) for chain, residue, share in shares},
     }

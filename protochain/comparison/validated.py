@@ -8,7 +8,6 @@ import pandas as pd
 from protochain.comparison.plots import plot_ramachandran_classes
 from protochain.results.figures import data_url
 from protochain.results.page import table_data, write_page
-from protochain.results.provenance import command_line
 from protochain.results.viewer import residue_keys, scene
 from protochain.validation import LIKENESS, MEASURES
 from protochain.validation.clashes import clash_discs
@@ -45,6 +44,5 @@ def write_validated(result: Validation, path: Path) -> None:
         ramachandran=data_url(plot_ramachandran_classes({s.name: s})),
         data=table_data(result.residues, _SHOWN),
         ligands=result.ligand_table,
-        command=command_line(),
         **scene({s.name: s}, discs=clash_discs, focus=named[0][0] if named else ""),
     )

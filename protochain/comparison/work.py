@@ -31,7 +31,6 @@ WITHIN = (100.0, 10.0, 1.0)
 
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
     """Evaluations and seconds until each method first reached ``WITHIN`` above the lowest end."""
-    # lowest kJ/mol.
     rows = []
     for method, run in traces.groupby("method", sort=False):
         row: dict[str, object] = {"method": method, "lowest_kj_mol": lowest[str(method)]}
@@ -57,13 +56,10 @@ def _grid(costs: pd.Series) -> np.ndarray:
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
     """Spread of each method over its solution and its further runs, one row per method."""
     runs = [[s, *(r for r in repeats if r.method == s.method)] for s in solutions]
-    return pd.DataFrame(
-        [{column.key: column.value(solution) for column in SPREAD_COLUMNS} for solution in runs]
-    )
+    return pd.DataFrame([{column.key: column.value(of) for column in SPREAD_COLUMNS} for of in runs])
 
 
 def _farthest_ends(runs: Sequence[Solution]) -> float:
-    """Largest C-alpha RMSD between two ends, angstrom."""
     pairs = combinations(runs, 2)
     return max((ca_rmsd(runs[0].structure, a.x, b.x) for a, b in pairs), default=0.0)
 

@@ -14,9 +14,8 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches import Processes, frame_files, mutation_scan
-from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ScoreFrames, ValidateFrames
+from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, RmsdFrames, ScoreFrames, ValidateFrames
 from protochain.batches.jobs import BatchSettings, failure
-from protochain.comparison.deviation import RmsdFrames
 from protochain.core.checkpoints import write_checkpoint
 from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.minimisers.minimise_settings import MinimiseSettings
@@ -237,7 +236,7 @@ def test_a_run_goes_on_with_the_same_input_only(kind, tmp_path):
 TASKS = {
     "validate": lambda reference, align: ValidateFrames(SETUP, reference),
     "score": lambda reference, align: ScoreFrames(SETUP, "A:B", align != "name CA", reference),
-    "rmsd": lambda reference, align: RmsdFrames(reference, align),
+    "rmsd": lambda reference, align: RmsdFrames(reference, align, align),
     "energy": lambda reference, align: EnergyFrames(replace(SETUP, forcefield=str(align))),
 }
 
