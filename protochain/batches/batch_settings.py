@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from itertools import islice
@@ -12,7 +11,7 @@ from typing import Any
 from protochain.batches.jobs import BatchSettings, Job
 from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
-from protochain.core.storage import write_text
+from protochain.core.storage import json_text, write_text
 from protochain.structure.preparation.prepare import user_files
 
 NAME = "settings.json"
@@ -30,16 +29,14 @@ def store_settings(
         for structure in recorded.keys() & records.keys():
             for record in recorded[structure]:
                 if record not in records[structure]:
-                    _refuse_others(
-                        folder, f" for {structure}", before | record, before | records[structure][0]
-                    )
+                    now = before | records[structure][0]
+                    _refuse_others(folder, f" for {structure}", before | record, now)
         records = recorded | records
     elif _holds_results(folder / table):
         raise ProtochainError(
             f"{folder}: contains results without {NAME}: their settings are unknown; give another folder"
         )
-    text = json.dumps({"settings": settings, "structures": records}, indent=1, allow_nan=False)
-    write_text(path, text)
+    write_text(path, json.dumps({"settings": settings, "structures": records}, indent=1, allow_nan=False))
 
 
 def _holds_results(table: Path) -> bool:
@@ -54,12 +51,7 @@ def _holds_results(table: Path) -> bool:
 
 def _plain(settings: BatchSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with the version and the hash of force-field files."""
-    values = settings.record() | run_settings(settings.setup)
-    finite = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in values.items()
-    }
-    plain: dict[str, Any] = json.loads(json.dumps(finite))
+    plain: dict[str, Any] = json.loads(json_text(settings.record() | run_settings(settings.setup)))
     return plain
 
 
@@ -79,10 +71,8 @@ def _structure_settings(common: BatchSettings, jobs: Sequence[Job]) -> dict[str,
     for job in jobs:
         model = job.settings.setup.model
         name = str(job.path) if model is None else f"{job.path}, model {model}"
-        own_settings = {} if job.settings is common else _plain(job.settings)
-        changes = {
-            key: value for key, value in own_settings.items() if key != "model" and value != usual.get(key)
-        }
+        values = {} if job.settings is common else _plain(job.settings)
+        changes = {key: value for key, value in values.items() if key != "model" and value != usual.get(key)}
         records.setdefault(name, []).append(changes)
     return records
 
@@ -109,7 +99,6 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
 
 
 def _difference(name: str, old: Any, new: Any) -> str:
-    """Difference of a setting, as text."""
     if old in (None, ""):
         return f"without {name}, which is {_text_of(new)} now"
     return f"with {name} {_text_of(old)}, " + (

@@ -35,11 +35,9 @@ from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.results.provenance import of_run
 
-_AHEAD = 4
-"""Submitted jobs for each worker, so that no worker waits."""
+_AHEAD = 4  # Submitted jobs for each worker, so that no worker waits.
 
-_RECOUNT = 5.0
-"""s between counts of the workers, as a cluster may grow."""
+_RECOUNT = 5.0  # s between counts of the workers, as a cluster may grow.
 
 
 @document_fields
@@ -281,14 +279,14 @@ def _work(
             if future.cancelled():
                 return True  # The connection to the scheduler is lost.
             with held_interrupts() as interrupts:
-                rows = _rows(future, task)
+                message = f"no worker finished this structure: {future.exception()}"
+                rows = task.lost([], "killed", message, 0.0) if future.exception() else future.result()
                 tables.append(rows)
             n_done += 1
             failed += all("output" not in row.record for row in rows)
             if watch:
-                total = skipped + len(todo)
-                seconds = perf_counter() - began
-                watch(BatchProgress(total, n_done, failed, skipped, seconds, workers.dashboard, _line(rows)))
+                counts = skipped + len(todo), n_done, failed, skipped
+                watch(BatchProgress(*counts, perf_counter() - began, workers.dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
     except KeyboardInterrupt:
@@ -331,14 +329,6 @@ class _Window:
         return _AHEAD * max(self.count, 1)
 
 
-def _rows(future: Any, task: Task) -> list[Row]:
-    """Return the rows of a job, or rows with the error of its worker."""
-    error = future.exception()
-    message = f"no worker finished this structure: {error}"
-    rows: list[Row] = task.lost([], "killed", message, 0.0) if error else future.result()
-    return rows
-
-
 def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:
     """Text of a column by structure. Empty cells are skipped."""
     texts = dict(zip(table["structure"], table[key], strict=True))
@@ -346,7 +336,6 @@ def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:
 
 
 def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
-    """Write the summaries and pages of the whole table."""
     from protochain.batches.report import write_report
 
     folder, table = tables.folder, tables.read()

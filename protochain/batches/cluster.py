@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _LOG = logging.getLogger(__name__)
-_PATIENCE = 10.0
-"""s. Time for the scheduler to answer, and for the first worker before a warning."""
+_PATIENCE = 10.0  # s. Time for the scheduler to answer, and for the first worker before a warning.
 
 
 @document_fields
@@ -180,33 +179,23 @@ def _connect(scheduler: str) -> Iterator["Client"]:
     except (OSError, TypeError, ValueError) as error:
         raise ProtochainError(f"scheduler {scheduler}: no cluster responds: {error}") from error
     with client:
-        _await_workers(client, scheduler)
-        _check_versions(client, scheduler)
+        # Warn after a while without a worker, as a queue may start it later, or nobody started one.
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            _LOG.warning(
+                "scheduler %s: no workers after %g s; start some with 'dask worker %s', or stop with Ctrl-C",
+                scheduler, _PATIENCE, scheduler,
+            )  # fmt: skip
+            client.wait_for_workers(1)
+        local_version = version("protochain")
+        for worker, worker_version in client.run(_version).items():
+            if worker_version != local_version:
+                raise ProtochainError(
+                    f"scheduler {scheduler}: worker {worker} has protochain {worker_version}, and here is "
+                    f"{local_version}; install one version everywhere"
+                )
         yield client
-
-
-def _await_workers(client: "Client", scheduler: str) -> None:
-    """Wait for a worker. Warn after a while, as a queue may start it later, or nobody started one."""
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-    except TimeoutError:
-        _LOG.warning(
-            "scheduler %s: no workers after %g s; start some with 'dask worker %s', or stop with Ctrl-C",
-            scheduler, _PATIENCE, scheduler,
-        )  # fmt: skip
-        client.wait_for_workers(1)
-
-
-def _check_versions(client: "Client", scheduler: str) -> None:
-    """Refuse workers with another version of protochain."""
-    local_version = version("protochain")
-    for worker, worker_version in client.run(_version).items():
-        if worker_version != local_version:
-            raise ProtochainError(
-                f"scheduler {scheduler}: worker {worker} has protochain {worker_version}, and here is "
-                f"{local_version}; "
-                "install one version everywhere"
-            )
 
 
 def _version() -> str:

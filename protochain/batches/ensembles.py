@@ -24,10 +24,8 @@ from protochain.structure.superpose import superpose
 
 WITHIN = {"rmsd": 2.0, "torsions": 30.0}
 """angstrom, degrees. Default average distance between the members of a cluster."""
-_MOST = 5000
-"""Frames, as the distances of all pairs are in memory."""
-_ROUNDS = 3
-"""Superpositions on the mean, which then moves by less than a thousandth of an angstrom."""
+_MOST = 5000  # Frames, as the distances of all pairs are in memory.
+_ROUNDS = 3  # Superpositions on the mean, which then moves by less than a thousandth of an angstrom.
 
 
 @document_fields
@@ -116,11 +114,10 @@ def cluster_frames(
     if by == "torsions" and not len(quadruples):
         raise ProtochainError(f"{structure.name}: has no phi or psi to cluster by; cluster by rmsd")
     x = [ensemble.at(frame).positions for frame in frames_read]
-    distances = (
-        _torsion_distances(x, quadruples)
-        if by == "torsions"
-        else ANGSTROM_PER_NM * rmsds([conformer[atoms] for conformer in x])
-    )
+    if by == "torsions":
+        distances = _torsion_distances(x, quadruples)
+    else:
+        distances = ANGSTROM_PER_NM * rmsds([conformer[atoms] for conformer in x])
     labels, medoids = cluster_distances(distances, WITHIN[by] if within is None else within)
     table = pd.DataFrame({
         "frame": numbers, "cluster": labels, "medoid": np.isin(np.arange(len(x)), medoids),
@@ -170,9 +167,8 @@ def fluctuations(x: list[Floats]) -> Floats:
 def _backbone(structure: Structure) -> Integers:
     """(m, 4) int: atoms of phi and psi."""
     _, backbone_atoms = dihedral_finder(structure, ("phi", "psi"))
-    rows = [
-        atoms for r in range(structure.n_residues) for *_, atoms in backbone_atoms(r) if None not in atoms
-    ]
+    residues = range(structure.n_residues)
+    rows = [atoms for r in residues for *_, atoms in backbone_atoms(r) if None not in atoms]
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
 
 

@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -29,10 +30,8 @@ from protochain.structure.formats.frames import Frames, open_frames
 from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory, part_of
 from protochain.structure.write import common_suffix, save
 
-_KEEP_EVERY = 10.0
-"""s between checkpoints. Frames after the last checkpoint are computed again."""
-_MOST_IN_TEXT = 20_000_000
-"""Atoms of all models of a text file, which is built in memory."""
+_KEEP_EVERY = 10.0  # s between checkpoints. Frames after the last checkpoint are computed again.
+_MOST_IN_TEXT = 20_000_000  # Atoms of all models of a text file, which is built in memory.
 _NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
 """Checkpoint of a new run."""
 FIRST = ("frame", "time_ps", "status", "message", GAP)
@@ -95,7 +94,7 @@ def run_frames(
     interrupted = False
     with (
         claimed_files(*files_of(table, trajectory)),
-        _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force) as files,
+        closing(_Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force)) as files,
     ):
         try:
             left = frames.without_first(files.n_rows)
@@ -248,10 +247,7 @@ class _Files:
             s.with_positions(frame.x) for frame in open_frames(self.trajectory.part) if frame.x is not None
         ]
 
-    def __enter__(self) -> "_Files":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self.rows.close()
         if self.trajectory:
             self.trajectory.close()
@@ -262,7 +258,6 @@ def _in_text(path: Path) -> bool:
 
 
 def _topology_path(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
-    """Name of the topology of a trajectory."""
     return trajectory.with_suffix(common_suffix([ensemble.structure]) if ensemble else ".pdb")
 
 
@@ -279,8 +274,7 @@ def _content(path: Path) -> str:
     return hashlib.sha256(b"".join(ends)).hexdigest()[:12]
 
 
-_HASHED_BYTES = 1 << 20
-"""Bytes of each end of a file of frames that are compared on resuming."""
+_HASHED_BYTES = 1 << 20  # Bytes of each end of a file of frames that are compared on resuming.
 
 
 def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -> dict[str, Any]:

@@ -17,8 +17,7 @@ _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
 """Beginnings of the names of the quantities that are drawn first."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
 _MOST_FIGURES = 12
-_WORST = ("violations_end", "violations", "ca_rmsd_angstrom")
-"""Measures of damage, the best first."""
+_WORST = ("violations_end", "violations", "ca_rmsd_angstrom")  # Measures of damage, the best first.
 
 
 def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:

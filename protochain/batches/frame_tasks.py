@@ -207,6 +207,30 @@ class ScoreFrames(Task):
         return act
 
 
+@dataclass(frozen=True)
+class RmsdFrames(Task):
+    """Measure the deviation of each frame from a reference, as :func:`protochain.deviation`."""
+
+    reference: Structure
+    align: str  # align, measure: Selections of atoms.
+    measure: str
+    name = "rmsd"
+    at_a_time = 8
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of a deviation."""
+        from protochain.comparison.deviation import COLUMNS
+
+        return tuple(column.key for column in COLUMNS)
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Return the function of a frame."""
+        from protochain.comparison.deviation import deviation
+
+        return lambda frame: (deviation(self.reference, frame, self.align, self.measure).record(), None)
+
+
 _OF_PARTS = ("interaction", "desolvation", "sum")
 
 
@@ -284,11 +308,8 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
         row[GAP] = None if gap is None else ANGSTROM_PER_NM * gap
         values, x = act(structure)
         values["seconds"] = perf_counter() - began
-        return FrameRow(
-            frame.index,
-            row | {"status": "measured", "message": ""} | values,
-            structure.positions if x is None else x,
-        )
+        row |= {"status": "measured", "message": ""} | values
+        return FrameRow(frame.index, row, structure.positions if x is None else x)
     except Exception as error:
         failure = failure_columns(frame, *reason(error))
     return FrameRow(frame.index, row | failure | {"seconds": perf_counter() - began}, None)

@@ -23,8 +23,7 @@ from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.frames import Frame, Frames, open_frames
 from protochain.structure.select import move_argument
 
-_AHEAD = 3
-"""Submitted jobs for each worker, so that no worker waits."""
+_AHEAD = 3  # Submitted jobs for each worker, so that no worker waits.
 
 
 @document_fields
@@ -58,9 +57,8 @@ class FrameResult(Value):
         return self.task.setup.move if isinstance(self.task, RelaxFrames) else None
 
     def __repr__(self) -> str:
-        return (
-            f"<Frame {self.frame}: {self.record.get('message') or self.record.get('status') or 'measured'}>"
-        )
+        state = self.record.get("message") or self.record.get("status") or "measured"
+        return f"<Frame {self.frame}: {state}>"
 
 
 @check_arguments(workers=optional(at_least(1)))
@@ -189,10 +187,10 @@ def over_frames(
         running, retried = Submitted(workers, processes), set[int]()
         while True:
             # Counted from the oldest unfinished job, so that finished results do not accumulate.
-            while len(jobs) < _AHEAD * max(1, workers.count()) and (
-                chunk := [*islice(waiting, task.at_a_time)]
-            ):
-                jobs.append(FrameJob(path, tuple(chunk)))
+            while len(jobs) < _AHEAD * max(1, workers.count()):
+                if not (chunk := tuple(islice(waiting, task.at_a_time))):
+                    break
+                jobs.append(FrameJob(path, chunk))
                 running.submit(jobs[-1])
             if not jobs:
                 return

@@ -267,13 +267,8 @@ def origin(job: Job) -> dict[str, Any]:
 class _JobInput:
     path: Path
     settings: BatchSettings
-    root: Path
-    """Folder relative to which the structure is named."""
+    root: Path  # Folder relative to which the structure is named.
     pose: str = ""  # Or name of the design.
-
-    def job(self) -> Job:
-        """Job of the input, without a name."""
-        return Job("", self.path.absolute(), self.settings, _key(self.path, self.settings, self.pose))
 
 
 def find_jobs(
@@ -315,14 +310,10 @@ def find_jobs(
     ]
     if manifest:
         inputs_found += _from_manifest(manifest, settings)
+    for split in (_poses, _designs, _models):
+        inputs_found = [part for whole in inputs_found for part in split(whole)]
     unique: dict[tuple[Path, BatchSettings, str], _JobInput] = {}
-    for job_input in (
-        job_input
-        for one in inputs_found
-        for with_pose in _poses(one)
-        for design in _designs(with_pose)
-        for job_input in _models(design)
-    ):
+    for job_input in inputs_found:
         # Designs with equal letters are separate.
         unique.setdefault((job_input.path.absolute(), job_input.settings, job_input.pose), job_input)
     inputs_found = list(unique.values())
@@ -341,7 +332,7 @@ def find_jobs(
         (name for name, value in settings.values().items() if value != default_values[name]),
         frozenset.intersection(*(job_input.settings.idle for job_input in inputs_found)),
     )
-    jobs = [job_input.job() for job_input in inputs_found]
+    jobs = [Job("", i.path.absolute(), i.settings, _key(i.path, i.settings, i.pose)) for i in inputs_found]
     requested = [
         NameRequest(
             job.path, job_input.root, job.settings.setup.model, job.key, job.settings.methods, job_input.pose
@@ -371,8 +362,10 @@ def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
             raise ProtochainError(
                 f"{source}: is the output folder or inside it; choose another output folder"
             )
-        matches = sorted(path for path in Path(source).rglob("*") if _is_structure(path))
-        yield from ((path, Path(source)) for path in matches if not _is_inside(path, output))
+        # A listed path that does not exist is a broken link.
+        files = (path for path in Path(source).rglob("*") if path.is_file() or not path.exists())
+        matches = sorted(path for path in files if format_of(path) and not _is_inside(path, output))
+        yield from ((path, Path(source)) for path in matches)
     elif not Path(source).exists() and _GLOB & set(source):
         names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not names:
@@ -389,11 +382,6 @@ def _is_inside(path: Path, folder: Path | None) -> bool:
     if folder is None:
         return False
     return absolute(folder) in absolute(path).parents or folder.resolve() in path.resolve().parents
-
-
-def _is_structure(path: Path) -> bool:
-    # A listed path that does not exist is a broken link.
-    return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_JobInput]:

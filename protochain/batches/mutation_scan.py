@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 ALL = "all"
 Rows = list[dict[str, Any]]
 _SITE = ("chain", "residue", "wild", "mutant")
-_MOST = 15.0
-"""kJ/mol at which the colours of the heat map saturate, about 3.6 kcal/mol."""
+_MOST = 15.0  # kJ/mol at which the colours of the heat map saturate, about 3.6 kcal/mol.
 
 
 Mutant = tuple[Mapping[str, Any], Mapping[int, str] | str, Path | None]
@@ -190,9 +189,8 @@ def run_scan(
 ) -> tuple["pd.DataFrame", bool]:  # fmt: skip
     """Write a table of mutants as they finish, or resume one. Return it, and whether it was interrupted."""
     jobs, checkpoint_file = sites_of(structure, sites, into), checkpoint_of(table)
-    plain = {
-        name: str(value) for name, value in {**vars(setup), **vars(relaxing)}.items() if name != "threads"
-    }
+    options = {**vars(setup), **vars(relaxing)}
+    plain = {name: str(value) for name, value in options.items() if name != "threads"}
     settings = {
         "sites": sites, "into": into, "atoms": structure.fingerprint,
         "start": structure.positions_fingerprint, **run_settings(setup), **plain,
@@ -220,10 +218,10 @@ def run_scan(
         remaining += [(r, letters)] if letters else []
     total, interrupted = len(rows) + sum(len(letters) for _, letters in remaining), False
 
+    columns = [*_SITE, *(column.key for column in COLUMNS)]
+
     def keep() -> "pd.DataFrame":
-        sorted_table = pd.DataFrame(
-            sorted(rows, key=order), columns=[*_SITE, *(column.key for column in COLUMNS)]
-        )
+        sorted_table = pd.DataFrame(sorted(rows, key=order), columns=columns)
         write_atomically(table, lambda to: sorted_table.to_csv(to, index=False))
         return sorted_table
 

@@ -42,9 +42,8 @@ class ScoreJob:
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
             structure = setup.load(self.path)
-            pairs = [split_sides(structure, pair_name) for pair_name in self.interfaces] or touching_chains(
-                structure
-            )
+            pairs = [split_sides(structure, pair_name) for pair_name in self.interfaces]
+            pairs = pairs or touching_chains(structure)
             if not pairs:
                 raise ProtochainError(f"{self.label}: no two of its chains are in contact; give a complex")
             energy, confidences = as_native(setup.energy(structure)), read_scores(confidence_files(self.path))

@@ -123,8 +123,7 @@ class Child:
         return f"the minimisation process was ended by {name}{cause}"
 
 
-_thread_state = threading.local()
-"""Child of each thread, and the children of its crew, if any."""
+_thread_state = threading.local()  # Child of each thread, and the children of its crew, if any.
 
 
 class _Children(list[Child]):
@@ -145,10 +144,8 @@ class _Children(list[Child]):
             child.process.kill()
 
 
-_ahead: list[Child] = []
-"""Children without a thread."""
-_MOST_AHEAD = 8
-"""Most children without a thread, as there may be fewer jobs than processors."""
+_ahead: list[Child] = []  # Children without a thread.
+_MOST_AHEAD = 8  # Most children without a thread, as there may be fewer jobs than processors.
 
 
 @contextmanager

@@ -63,13 +63,9 @@ TRACE_COLUMNS = (
     "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "rms_torque_kj_mol_rad",
     "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm", "ca_rmsd_angstrom", "key",
 )  # fmt: skip
+_FLOATS = [c.key for c in (*record.COLUMNS, *OF_RELAXING) if c.kind in (float, float | None)]
 _NUMBERS: dict[str, Callable[[str], float]] = {
-    **dict.fromkeys(TRACE_COLUMNS[3:-1], float),
-    **{
-        column.key: float
-        for column in (*record.COLUMNS, *OF_RELAXING)
-        if column.kind in (float, float | None)
-    },
+    **dict.fromkeys((*TRACE_COLUMNS[3:-1], *_FLOATS), float),
     **{key: int for key, kind in _TYPES.items() if kind == "Int64"},
 }
 """Readers of numeric columns."""

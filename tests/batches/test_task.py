@@ -3,7 +3,6 @@
 import pickle
 import queue
 import threading
-from concurrent.futures import Future
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -15,7 +14,7 @@ from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import batch_structures, cluster, supervise, task
-from protochain.batches.jobs import BatchSettings, Job, Row, failure
+from protochain.batches.jobs import BatchSettings, Job, failure
 from protochain.batches.supervise import Child
 from protochain.batches.table import Tables
 from protochain.batches.task import thin_trace
@@ -298,18 +297,6 @@ def test_a_window_is_of_four_jobs_a_worker_counted_again_after_a_while(monkeypat
         sizes.append(window.size())
     assert sizes == [20] * 5 and counted == [0.1, 5.2, 10.3]
     assert batch_structures._Window(cluster.Workers(None, lambda: 0)).size() == 4
-
-
-def test_what_a_worker_reports_is_the_row_of_each_method(tmp_path):
-    job = job_of("kcm", "lbfgs")
-    rows, ended, lost = [Row({"method": "kcm"}, [])], Future(), Future()
-    ended.set_result(rows)
-    assert batch_structures._rows(ended, job) is rows
-    lost.set_exception(ValueError("three times"))
-    message = "no worker finished this structure: three times"
-    assert batch_structures._rows(lost, task.Task(job, tmp_path)) == [
-        failure(job, method, "killed", message) for method in ("kcm", "lbfgs")
-    ]
 
 
 def test_a_batch_shows_itself(tmp_path):
