@@ -49,11 +49,9 @@ class _Commands(TyperGroup):
 
     @cached_property
     def commands(self) -> dict[str, Any]:  # type: ignore[override]  # an attribute there
-        """All commands by name."""
         return {name: _command(name) for name in (*_COMMANDS, *_ALIASES)}
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Command of a name, or None."""
         return _command(cmd_name) if cmd_name in {*_COMMANDS, *_ALIASES} else None
 
     def invoke(self, ctx: Any) -> Any:
@@ -162,8 +160,7 @@ def _status() -> int:
     return status if isinstance(status, int) else 0
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""Errors of a full disk."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # Errors of a full disk.
 _NO_WAY = (errno.EACCES, errno.ENAMETOOLONG)
 """Errors of paths that cannot be reached, also by a test for existence."""
 

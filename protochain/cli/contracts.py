@@ -12,7 +12,6 @@ from protochain.chains.setup import Setup
 from protochain.comparison import deviation as of_deviation
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
-from protochain.comparison.deviation import RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.docking import DOCKING, QUALITY
 from protochain.comparison.work import SPREAD_COLUMNS, WITHIN
@@ -260,7 +259,7 @@ _ENERGIES = _row([*TERMS, "total"])
 _SIDES = _row("chain_1 residue_1 name_1 chain_2 residue_2 name_2")
 _BY = ({"of": str, **_ENERGIES}, {**_RESIDUE, **_ENERGIES}, {**_SIDES, **_ENERGIES})
 _MEASURED = _cells(
-    _optional(_row(["reference", "file", "model", *RmsdFrames.columns, *QUALITY, "message"])),
+    _optional(_row(["reference", "file", "model", *of_deviation.COLUMNS, *QUALITY, "message"])),
     _row("reference file model message"),
 )
 _WHOLE = EnergyFrames(Setup()).columns
@@ -384,7 +383,7 @@ CONTRACTS: Mapping[str, Contract] = {
     ),
     "rmsd": Contract(
         (_DEVIATIONS_TOLD | {"results": [_MEASURED]}, _FRAMES_TOLD),
-        {"--output": (_MEASURED,), "--trajectory": (_frames(RmsdFrames.columns),)},
+        {"--output": (_MEASURED,), "--trajectory": (_frames(of_deviation.COLUMNS),)},
     ),
     "mutate": Contract(
         (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD, _DESIGNS_TOLD),

@@ -15,8 +15,7 @@ from protochain.core.lazy_pandas import pd
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
 
-_MOST_ROWS = 25
-"""Printed rows, with the largest totals."""
+_MOST_ROWS = 25  # Printed rows, with the largest totals.
 
 
 @options.with_settings(setup="hinges root move rigid_protein engine device terms calculator")

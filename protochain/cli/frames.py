@@ -75,15 +75,11 @@ def run_if_requested(
     source = single_structure(inputs)
     with started_early(setup, how["workers"]):
         frame_task = task()
-        table = table or Path(
-            f"{options.named_after(source)[0]}.{_ENDINGS.get(frame_task.name, frame_task.name)}.csv"
-        )
+        # The ending of a table is the name of the task, but for validation.
+        ending = "validated" if frame_task.name == "validate" else frame_task.name
+        table = table or Path(f"{options.named_after(source)[0]}.{ending}.csv")
         how.setdefault("force", not how["resume"])
         raise typer.Exit(run(source, trajectory, frames, setup, frame_task, table, **how))
-
-
-_ENDINGS = {"validate": "validated"}
-"""Endings of tables, if they differ from the name of the task."""
 
 
 def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults.TIME_LIMIT) -> "Processes":
@@ -207,14 +203,10 @@ def _medians(result: "FramesRun") -> str:
     existing = pd.read_csv(result.csv, nrows=0).columns
     columns = [name for name in _SHOWN_COLUMNS if name in existing]
     table = pd.read_csv(result.csv, usecols=columns)
-    sums = (
-        [
-            f"residues with violations {table['violations_start'].sum():.0f} before, "
-            f"{table['violations_end'].sum():.0f} after"
-        ]
-        if "violations_end" in columns
-        else []
-    )
+    sums = []
+    if "violations_end" in columns:
+        before, after = table["violations_start"].sum(), table["violations_end"].sum()
+        sums = [f"residues with violations {before:.0f} before, {after:.0f} after"]
     measures = [name for name in columns if name not in ("violations_start", "violations_end")]
     medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in measures]
     highest = []

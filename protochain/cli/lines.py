@@ -33,13 +33,10 @@ class Kind(Enum):
     WRITTEN = Detail.SHORT, False
 
 
-_WARNINGS = 5
-"""Most warnings and remarks that need action. ``--verbose`` prints all."""
-_RESIDUES = 5
-"""Residues of a kind in the short list of remaining errors."""
+_WARNINGS = 5  # Most warnings and remarks that need action. ``--verbose`` prints all.
+_RESIDUES = 5  # Residues of a kind in the short list of remaining errors.
 _RESIDUES_VERBOSE = 6
-_LARGEST_ENERGY = 1e6
-"""kJ/mol. Only structures with overlapping atoms have more."""
+_LARGEST_ENERGY = 1e6  # kJ/mol. Only structures with overlapping atoms have more.
 OVERLAPPING = "> 1e6 (overlapping atoms)"
 
 _detail = Detail.VERBOSE  # Commands without the options print all.

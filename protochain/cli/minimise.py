@@ -104,22 +104,12 @@ def minimise(
         solve = partial(_minimise_often, **vars(starting), **settings)
     limit = minimising.max_evaluations
     lengths = starting.n_starts * terminal.typical_evaluations(recipe, limit), starting.n_starts * limit
-    records: list[dict[str, Any]] = []
+    records, files = list[dict[str, Any]](), extras | {"terms": as_json}
     with _Writer(output, suffix, one_file) as write:
         for run_setup, path in runs:
             with measure_run(from_start=not records):
-                record = _solve_and_write(
-                    context,
-                    source,
-                    run_setup,
-                    path,
-                    recipe,
-                    solve,
-                    lengths,
-                    write,
-                    extras | {"terms": as_json},
-                )
-                records.append(record)
+                run = _solve_and_write(context, source, run_setup, path, recipe, solve, lengths, write, files)
+                records.append(run)
             if records[-1]["status"] == "interrupted":
                 break
     with options.redirect_messages(output):
@@ -133,7 +123,6 @@ def minimise(
 
 
 def _status(records: list[dict[str, Any]]) -> int:
-    """Exit status of all runs."""
     lost = any("not_written" in record for record in records)
     status = options.exit_status(record["status"] for record in records)
     return options.UNCONVERGED if status == options.CONVERGED and lost else status
@@ -185,9 +174,8 @@ class _Writer:
         """Write all solutions, also if a later model failed."""
         if self.one_file and self.solutions:
             models = [solution.structure for solution in self.solutions]
-            remarks = (
-                f"MODEL {s.structure.model_number}: {line}" for s in self.solutions for line in s.provenance()
-            )
+            lines = [(s.structure.model_number, line) for s in self.solutions for line in s.provenance()]
+            remarks = (f"MODEL {number}: {line}" for number, line in lines)
             options.write_models(models, self.output, self.suffix, remarks)
 
 
@@ -223,21 +211,19 @@ def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> Non
     Comparison(solution.chain.structure, (solution,), origin).write_page(path)
 
 
+_LIMITS = ("method", "max_evaluations", "tolerance")
+
+
 def _once(
     chain: "Chain", energy: "Energy", trajectory: Path | None, **settings: Any
 ) -> tuple["Solution", dict[str, Any]]:
     """Minimise from the input structure. Write every accepted point to the trajectory."""
     from protochain.minimisers import minimise
 
-    lost: list[str] = []
+    lost, limits = list[str](), (settings[name] for name in _LIMITS)
     with (
         _Frames(trajectory, chain.structure, lost) as frames,
-        terminal.run_progress(
-            settings["method"],
-            settings["max_evaluations"],
-            settings["tolerance"],
-            frames if trajectory else None,
-        ) as watch,
+        terminal.run_progress(*limits, frames if trajectory else None) as watch,
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)
@@ -297,9 +283,7 @@ def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple[
     """Minimise from many starts. Return the best solution, and entries of its record about all starts."""
     from protochain.minimisers import explore
 
-    with terminal.run_progress(
-        settings["method"], settings["max_evaluations"], settings["tolerance"]
-    ) as watch:
+    with terminal.run_progress(*(settings[name] for name in _LIMITS)) as watch:
         search = explore(chain, energy, watch=watch, **settings)
     return search.best, search.overall()
 

@@ -11,6 +11,7 @@ from protochain.cli import options
 from protochain.cli.first import METHOD, announce_duration, minimise_first
 from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
+from protochain.core.checks import at_least, one_of
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.storage import claim_folder
@@ -21,11 +22,9 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Floats
     from protochain.energies import Energy
 
-_RELAXED = 0.1
-"""kJ/mol/rad. Largest torque of a minimised start, a tenth of the limit for a minimum."""
+_RELAXED = 0.1  # kJ/mol/rad. Largest torque of a minimised start, a tenth of the limit for a minimum.
 
-_SHOWN = 10
-"""Printed modes. The table has all."""
+_SHOWN = 10  # Printed modes. The table has all.
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-modes].")
@@ -56,15 +55,16 @@ def modes(
 
     The structure is minimised in torsions first if torques remain. --no-relax omits this.
     """
-    from protochain.comparison.modes import checked_amplitude, checked_temperature
+    from protochain.comparison.modes import positive
     from protochain.comparison.modes_folder import files_of, write_modes
-    from protochain.comparison.normal_modes import DENSE, check_modes, normal_modes
+    from protochain.comparison.normal_modes import DENSE, METHODS, normal_modes
     from protochain.comparison.pair_hessian import applies
     from protochain.structure.formats.trajectory import check_trajectory
     from protochain.structure.matching import structure_to_measure
 
-    check_modes(modes, method)
-    temperature, amplitude = checked_temperature(temperature), checked_amplitude(amplitude)
+    at_least(1)(modes, "modes"), one_of(METHODS)(method, "method")
+    temperature = positive(temperature, "temperature", "kelvin")
+    amplitude = positive(amplitude, "amplitude", "angstrom")
     stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}-modes")
     check_trajectory(output / f"mode-1.{trajectory}")

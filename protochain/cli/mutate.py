@@ -121,7 +121,6 @@ def mutate(
 
 
 def _print(mutation: "Mutation") -> None:
-    """Print the energies of a mutant, and their meaning."""
     ddg, bound, unfolded = mutation.ddg, mutation.interface_change, mutation.unfolded
     peptide = "" if unfolded is None else f", minus {unfolded:.1f} in the peptide GGXGG"
     stability = "not known" if ddg is None else f"{ddg:+.1f} kJ/mol (above 0: less stable)"
@@ -145,11 +144,7 @@ def _print_rows(columns: Sequence[str], rows: Sequence[dict[str, Any]], *files: 
 def _status(rows: Sequence[dict[str, Any]]) -> int:
     """Exit status of mutants. An energy difference has converged if both sides have."""
     statuses = [row[side] for row in rows for side in ("status", "status_wild") if row[side]]
-    return options.exit_status(statuses, usable=any(row[_ENERGY] is not None for row in rows))
-
-
-_ENERGY = "energy_mutant_kj_mol"
-"""Column of rows that have a result."""
+    return options.exit_status(statuses, usable=any(row["energy_mutant_kj_mol"] is not None for row in rows))
 
 
 def _designs(

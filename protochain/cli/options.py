@@ -39,8 +39,7 @@ inputs were refused, 130 if a signal ended the command."""
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
 
-_SHOWN_OVERLAPS = 5
-"""Overlaps reported before a run. ``info`` lists all."""
+_SHOWN_OVERLAPS = 5  # Overlaps reported before a run. ``info`` lists all.
 
 Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, plain or compressed. - is standard input.")
@@ -105,7 +104,6 @@ def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..
 
 
 def _options(field: Field[Any]) -> Iterator[inspect.Parameter]:
-    """Options of a field of settings."""
     setting: Setting | None = field.metadata.get("setting")
     if setting is None or not setting.help:
         return
@@ -276,9 +274,8 @@ def print_changes(
 def check_restraint_csv(path: Path | None, restraints: Sequence[object]) -> None:
     """Raise if a table of restraints is requested without restraints."""
     if path and not restraints:
-        raise ProtochainError(
-            Argument("restraint_csv"), " requires distances or dihedrals by ", Argument("restraints")
-        )
+        requirement = " requires distances or dihedrals by ", Argument("restraints")
+        raise ProtochainError(Argument("restraint_csv"), *requirement)
 
 
 VIOLATIONS_SHOWN = 5

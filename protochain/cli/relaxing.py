@@ -21,16 +21,11 @@ if TYPE_CHECKING:
     from protochain.relaxation import Relaxation
     from protochain.structure import Structure
 
-_EVALUATIONS = 90
-"""Usual evaluations of a relaxation."""
-_WIDTH = 80
-"""Characters of the narrowest terminal."""
-_LIGANDS = 3
-"""Listed ligands, with the largest motion."""
-_SHOWN = 10
-"""Listed structures that failed or are not converged."""
-_SHOW_FROM = 5.0
-"""s. Shorter runs do not show a bar, whose library loads slowly."""
+_EVALUATIONS = 90  # Usual evaluations of a relaxation.
+_WIDTH = 80  # Characters of the narrowest terminal.
+_LIGANDS = 3  # Listed ligands, with the largest motion.
+_SHOWN = 10  # Listed structures that failed or are not converged.
+_SHOW_FROM = 5.0  # s. Shorter runs do not show a bar, whose library loads slowly.
 
 
 @part("measuring")
@@ -70,7 +65,6 @@ def print_plan(source: Path, structure: "Structure", energy: "Energy", move: str
 
 
 def _breaks(structure: "Structure") -> list[str]:
-    """Line about chain breaks, if any."""
     protein_residues = np.unique(structure.atom_residue[~structure.kept])
     _, first = np.unique(structure.residue_chain_index[protein_residues], return_index=True)
     n = len(first) - len({*structure.residue_chain[protein_residues[first]].tolist()})
@@ -93,17 +87,11 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     from protochain.structure.molecule.repairs import summarise
     from protochain.validation.findings import describe_remains
 
-    rows = before_and_after(record)
-    start, end = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
-    table_of_two(
-        [
-            (name, energy_text(before, start), energy_text(after, end)) if name == ENERGY else row
-            for row in rows
-            for name, before, after in [row]
-        ]
-    )
-    rounds = record["n_rounds"]
-    rmsd = record["ca_rmsd_angstrom"]
+    rows = {name: (before, after) for name, before, after in before_and_after(record)}
+    energies = record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]
+    rows[ENERGY] = energy_text(rows[ENERGY][0], energies[0]), energy_text(rows[ENERGY][1], energies[1])
+    table_of_two([(name, *values) for name, values in rows.items()])
+    rounds, rmsd = record["n_rounds"], record["ca_rmsd_angstrom"]
     summary = (
         f"farthest atom moved by {record['farthest_atom_angstrom']:.2f} angstrom; "
         f"{rounds} round{'s' * (rounds > 1)}, {record['evaluations']} evaluations, {record['seconds']:.1f} s"
@@ -161,15 +149,11 @@ def print_folder(table: "pd.DataFrame", folder: Path) -> None:
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
     tell(Kind.VERDICT, f"{plural(len(table), 'structure')}: {counts}")
     if "pose_valid" in table:
-        n_valid, tested = (
-            int(table["pose_valid"].fillna(value=False).sum()),
-            table["pose_sanitization"].notna().any(),
-        )
+        n_valid = int(table["pose_valid"].fillna(value=False).sum())
+        tested = table["pose_sanitization"].notna().any()
         tests = "PoseBusters' tests pass" if tested else "no clashes, stereo as in their file"
-        tell(
-            Kind.VERDICT,
-            f"{n_valid} of {plural(len(table), 'pose')} {'is' if n_valid == 1 else 'are'} valid: {tests}",
-        )
+        valid = f"{'is' if n_valid == 1 else 'are'} valid"
+        tell(Kind.VERDICT, f"{n_valid} of {plural(len(table), 'pose')} {valid}: {tests}")
     if len(usable):
         tell(
             Kind.RESULT,

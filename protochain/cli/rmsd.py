@@ -47,7 +47,7 @@ def rmsd(
     measure = measure or align
 
     def task() -> "Task":
-        from protochain.comparison.deviation import RmsdFrames
+        from protochain.batches.frame_tasks import RmsdFrames
         from protochain.structure.matching import structure_to_measure
 
         return RmsdFrames(structure_to_measure(reference), align, measure)

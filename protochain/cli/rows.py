@@ -82,8 +82,7 @@ def print_rows(headings: Iterable[str], rows: Iterable[Sequence[Any]], texts: in
     console.print(table, crop=False)
 
 
-_FOLDED = 30
-"""Width to which texts of a table are folded on narrow terminals."""
+_FOLDED = 30  # Width to which texts of a table are folded on narrow terminals.
 
 
 def _text(value: Any) -> str:

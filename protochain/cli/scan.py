@@ -80,5 +80,4 @@ def _read(axis_text: str) -> tuple[str, list[float]]:
     return name.strip(), numbers
 
 
-_MOST = 1e6
-"""Most values of a hinge. Larger numbers are errors."""
+_MOST = 1e6  # Most values of a hinge. Larger numbers are errors.

@@ -10,8 +10,7 @@ import typer
 if TYPE_CHECKING:
     from protochain.results.schema import Schema
 
-_VERSIONS = "schemas.txt"
-"""Lines with command, version of its results, and digest of the schema."""
+_VERSIONS = "schemas.txt"  # Lines with command, version of its results, and digest of the schema.
 
 
 def schema(
@@ -37,18 +36,19 @@ def schema(
 
 def schema_of(command: str) -> "Schema":
     """Schema of the printed output of a command, with tables and folder in ``$defs``."""
+    return _document(command, versions()[command][0])
+
+
+def _document(command: str, version: int) -> "Schema":
     from protochain.cli.contracts import CONTRACTS
     from protochain.results.schema import document
 
-    return document(command, versions()[command][0], CONTRACTS[command])
+    return document(command, version, CONTRACTS[command])
 
 
 def digest(command: str) -> str:
     """Digest of a schema, without its version."""
-    from protochain.cli.contracts import CONTRACTS
-    from protochain.results.schema import document
-
-    text = json.dumps(document(command, 0, CONTRACTS[command]), sort_keys=True)
+    text = json.dumps(_document(command, 0), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

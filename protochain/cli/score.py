@@ -192,7 +192,6 @@ def _place(value: Any, better: int) -> tuple[bool, float]:
 
 
 def _print(rows: Rows) -> None:
-    """Print a row for each interface."""
     from protochain.comparison.docking import HEADINGS
 
     columns = {**_SHOWN, **HEADINGS}

@@ -54,11 +54,8 @@ def search(
     if is_sequence(source):
         for name, setting in settings_of(Setup):
             if name not in (*OF_ENERGY, "hinges", "move"):
-                options.refuse(
-                    context,
-                    f"{name} {setting.word[0] if setting.word else ''}",
-                    "applies to files, but the input is a sequence",
-                )
+                names = f"{name} {setting.word[0] if setting.word else ''}"
+                options.refuse(context, names, "applies to files, but the input is a sequence")
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:

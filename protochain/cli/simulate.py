@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from protochain.dynamics import Simulation
     from protochain.energies import Energy
 
-_RELAXED = 10.0
-"""kJ/mol/rad. Largest torque at the start. The remaining strain heats little."""
+_RELAXED = 10.0  # kJ/mol/rad. Largest torque at the start. The remaining strain heats little.
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
@@ -84,7 +83,6 @@ def simulate(
 
 
 def _end(result: "Simulation", origin: dict[str, Any], as_json: bool) -> None:
-    """Print the result of a simulation, and exit."""
     record = {**result.record(), **origin}
     if as_json:
         options.print_json(record)

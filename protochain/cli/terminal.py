@@ -28,19 +28,14 @@ if TYPE_CHECKING:
     from protochain.searching import Search, SearchProgress
     from protochain.structure import Structure
 
-_WIDTH = 80
-"""Least width, in characters, for the table of results."""
+_WIDTH = 80  # Least width, in characters, for the table of results.
 
-_SHOWN_FAILURES = 10
-"""Listed structures or frames without a result. The table and the page have all."""
+_SHOWN_FAILURES = 10  # Listed structures or frames without a result. The table and the page have all.
 
-_SHOWN_MINIMA = 5
-"""Listed lowest minima of a search. The table and the page have more."""
+_SHOWN_MINIMA = 5  # Listed lowest minima of a search. The table and the page have more.
 
-_LINE_EVERY = 60.0
-"""s between lines without a terminal."""
-_LONG = 30.0
-"""s. The expected time of longer runs is reported at the start."""
+_LINE_EVERY = 60.0  # s between lines without a terminal.
+_LONG = 30.0  # s. The expected time of longer runs is reported at the start.
 
 
 class _Progress:
@@ -114,23 +109,19 @@ class _RunProgress(_Progress):
 
     @property
     def wants_positions(self) -> bool:
-        """Whether this watcher uses positions."""
         return self.use_positions is not None
 
     def at_stage(self, name: str, evaluations: int) -> None:
-        """Show the stage of the run."""
         from protochain.minimisers.loop import Stop
 
         if name != self.stage:
             self.stage, self.counts, self.residuals = name, True, []
             if name == Stop.INTERRUPTED.value:
-                self.say(
-                    f"{self.name}: {name}" + ("; the best so far will be written" if self.writes else "")
-                )
+                ending = "; the best so far will be written" if self.writes else ""
+                self.say(f"{self.name}: {name}{ending}")
         self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
 
     def at_warning(self, line: str) -> None:
-        """Print a warning."""
         self.say(f"{self.name}: {line}")
 
     def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
@@ -166,10 +157,8 @@ class _RunProgress(_Progress):
         return self.text
 
 
-_ESTIMATE_EVERY = 0.5
-"""s between estimates."""
-_TREND, _CORRELATION = 8, -0.9
-"""Fewest points of a trend, and its correlation."""
+_ESTIMATE_EVERY = 0.5  # s between estimates.
+_TREND, _CORRELATION = 8, -0.9  # Fewest points of a trend, and its correlation.
 
 
 def remaining_evaluations(residuals: "Sequence[tuple[float, float]]", tolerance: float) -> float | None:
@@ -224,10 +213,8 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
     progress = _Progress(name, n_steps)
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
-        elapsed = monotonic() - progress.began
-        rate = (
-            86.4 * time_step * (row["step"] - progress.first) / elapsed if elapsed and progress.first else 0.0
-        )
+        elapsed, n_steps = monotonic() - progress.began, row["step"] - progress.first
+        rate = 86.4 * time_step * n_steps / elapsed if elapsed and progress.first else 0.0
         speed = f", {rate:.1f} ns/day" if rate else ""
         progress.show(row["step"], f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{speed}")
 
@@ -308,11 +295,8 @@ def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
     progress = _Progress(name, 100)
 
     def watch(so_far: "SearchProgress") -> None:
-        now = (
-            f"lowest {so_far.lowest:.2f} kJ/mol, {100.0 * so_far.acceptance:.0f} % accepted, "
-            f"{so_far.evaluations} evaluations"
-        )
-        progress.show(100.0 * min(so_far.share, 1.0), now)
+        now = f"lowest {so_far.lowest:.2f} kJ/mol, {100.0 * so_far.acceptance:.0f} % accepted"
+        progress.show(100.0 * min(so_far.share, 1.0), f"{now}, {so_far.evaluations} evaluations")
 
     with progress.bar:
         yield watch
@@ -391,7 +375,6 @@ def print_simulation(record: dict[str, Any]) -> None:
 
 
 def _pull_line(record: dict[str, Any]) -> str:
-    """Line about pulling, if any."""
     if record.get("pull") is None:
         return ""
     return (
@@ -430,8 +413,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     if any(OVERLAPPING.startswith(cell) for row in rows for cell in row if cell.startswith(">")):
         tell(Kind.RESULT, f"energies {OVERLAPPING.replace('1e6', '1e6 kJ/mol')}")
     for record in records:
-        message = record["message"]
-        console.print(f"{record['method']}: {message}", markup=False, highlight=False)
+        console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
 
 
 def _cell(column: "Column", value: Any) -> str:
@@ -501,9 +483,8 @@ def print_batch(table: "pd.DataFrame", report: str) -> None:
     unconverged = table["method"].eq(RELAX) & table["status"].ne("converged")
     failed = table[table["output"].isna() | unconverged].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():
-        console.print(
-            f"{row.structure}: {row.status}: {row.message}", markup=False, highlight=False, soft_wrap=True
-        )
+        line = f"{row.structure}: {row.status}: {row.message}"
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     if len(failed) > _SHOWN_FAILURES:
         console.print(f"and {len(failed) - _SHOWN_FAILURES} more, in the table")
     print_lost(table.to_dict("records"))

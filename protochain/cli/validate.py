@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 _LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
 """Entries of the JSON of a structure that are not in tables."""
-_SHOWN = 10
-"""Listed residues of each structure. The tables have all."""
+_SHOWN = 10  # Listed residues of each structure. The tables have all.
 
 
 @with_settings(
@@ -98,7 +97,11 @@ def validate(
             from protochain.comparison.validated import write_validated
 
             write_validated(result, report)
-        change = _changes(reference, result) if changes else None
+        change: Differences | None = None
+        if changes:
+            from protochain.comparison.differences import differences
+
+            change = differences(reference, result.structure)
         rows.append({"file": name, **_row(result, change)})
         remarks = (result.posebusters_missing, repr(change).strip("<>") if change else "")
         notes[name] = [*map(str, result.ligands), *filter(None, remarks)]
@@ -115,12 +118,6 @@ def validate(
     compared_with = str(reference) if reference else None
     pages = [report] if report and notes else []
     conclude(rows, tables, partial(_print, notes), as_json, pages, reference=compared_with)
-
-
-def _changes(reference: Path | None, result: "Validation") -> "Differences":
-    from protochain.comparison.differences import differences
-
-    return differences(reference, result.structure)
 
 
 def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
