@@ -142,5 +142,4 @@ def check_sizes(file: Any, packed: bool = False) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-_DEFLATED = 1100
-"""Bytes that one of a deflated file may become, at most."""
+_DEFLATED = 1100  # Bytes that one of a deflated file may become, at most.

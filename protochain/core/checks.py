@@ -195,11 +195,8 @@ def cutoff_of(value: Any, name: str) -> Any:
     if not 0.0 < distance <= LONGEST_CUTOFF:
         raise refusal(name, brief(value), "give a distance in nm, auto, or none")
     if distance < SHORTEST_CUTOFF:
-        raise refusal(
-            name,
-            f"{distance:g} nm",
-            f"is shorter than contacts between atoms; give {SHORTEST_CUTOFF:g} nm or more, or none",
-        )
+        remedy = f"is shorter than contacts between atoms; give {SHORTEST_CUTOFF:g} nm or more, or none"
+        raise refusal(name, f"{distance:g} nm", remedy)
     return distance
 
 
@@ -393,8 +390,7 @@ def choose_record(specification: str) -> str:
 
 _CHAINS, _DESIGNS = "chains", "designs"
 _LONGEST_CHAIN_NAME = 4
-_LONGEST_NAME = 100
-"""Characters of the name of a design. Names of files have at most 255 bytes."""
+_LONGEST_NAME = 100  # Characters of the name of a design. Names of files have at most 255 bytes.
 _DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidence|num_res)=")
 """What ProteinMPNN and LigandMPNN write above each design."""
 
@@ -483,21 +479,17 @@ def _ligand(value: Any, name: str) -> LigandSource:
     last = str(value[-1] if isinstance(value, tuple | list) and value else value).rpartition("=")[2]
     if last.lower().endswith(".pdbqt"):
         to = last[: -len("pdbqt")] + "sdf"
-        raise refusal(
-            name, brief(value), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
-        )
+        remedy = f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
+        raise refusal(name, brief(value), remedy)
     if isinstance(value, tuple | list) and len(value) == 2:
         residue_name, source = value
     else:
         residue_name, source = "", value
-        is_file = file_and_record(value)[0].suffix.lower() in MOLECULE_SUFFIXES
+        file, _ = file_and_record(value)
+        is_file = file.suffix.lower() in MOLECULE_SUFFIXES
         before, sign, after = str(value).partition("=")
-        # ./a=b.sdf is a file.
-        if (
-            sign
-            and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
-            and not (is_file and file_and_record(value)[0].exists())
-        ):
+        has_name = sign and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
+        if has_name and not (is_file and file.exists()):  # ./a=b.sdf is a file.
             residue_name, source = before, after
         elif not is_file and not Path(str(value)).is_dir():
             raise refusal(name, brief(value), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
@@ -522,8 +514,7 @@ def ends(value: Any, name: str) -> tuple[str, str]:
     raise refusal(name, brief(value), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
 
 
-_PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
-"""A residue, or an atom of it."""
+_PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"  # A residue, or an atom of it.
 
 
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:

@@ -20,11 +20,9 @@ from protochain.core.processors import own_python, processors
 MOST = 3
 """Helpers. More would wait for one another's kernels."""
 _LIST = Path(__file__).with_name("kernels.txt")
-_HELPER = "PROTOCHAIN_HELPER"
-"""Environment variable with the number of the helper."""
+_HELPER = "PROTOCHAIN_HELPER"  # Environment variable with the number of the helper.
 
-_HELD: list[Any] = []
-"""Lock of the process that has helpers, until it ends."""
+_HELD: list[Any] = []  # Lock of the process that has helpers, until it ends.
 
 
 def is_helper() -> bool:

@@ -11,8 +11,7 @@ from typing import TypeVar
 ENDING = ("SIGTERM", "SIGHUP", "SIGXCPU")
 """Signals that the command line treats as an interrupt: an end, a lost connection, a limit of CPU time."""
 _SIGNALS = [signal.SIGINT, *(getattr(signal, name) for name in ENDING if hasattr(signal, name))]
-_POLL = 0.1
-"""s between looks at a call that runs in another thread."""
+_POLL = 0.1  # s between looks at a call that runs in another thread.
 
 Result = TypeVar("Result")
 

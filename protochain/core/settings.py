@@ -108,8 +108,7 @@ def _entry_of(name: str, kind: str, text: str) -> str:
 
 _FIELD = re.compile(r"^((?: {4,8}# .*\n)*) {4,8}(\w+): (.+?)(?: = .*?)?(?:  # (.*))?$", re.MULTILINE)
 """Comment above a field, its name, its type, and the comment behind it."""
-_COMMENT = re.compile(r"(?:([^A-Z`:][^:]*|K): )?(.*)")
-"""Unit or shape, and text, of a comment."""
+_COMMENT = re.compile(r"(?:([^A-Z`:][^:]*|K): )?(.*)")  # Unit or shape, and text, of a comment.
 
 
 def document_fields(kind: type[Made]) -> type[Made]:
@@ -163,7 +162,7 @@ def _source(kind: type) -> str:
 
 
 def settings_from(kind: type[Made], arguments: Mapping[str, Any], **other_fields: Any) -> Made:
-    """Settings of the arguments of a call by their names. ``more`` are the other fields."""
+    """Settings of the arguments of a call by their names. ``other_fields`` are not settings."""
     return kind(**{name: arguments[name] for name, _ in settings_of(kind)}, **other_fields)
 
 

@@ -52,8 +52,7 @@ def check_writable(path: Path) -> None:
         raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
 
 
-_LONGEST = 255
-"""Bytes of the name of a file, on systems that do not report a limit."""
+_LONGEST = 255  # Bytes of the name of a file, on systems that do not report a limit.
 
 
 def as_utf8(text: str) -> str:
@@ -98,8 +97,7 @@ def write_text(path: Path, text: str) -> None:
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8", errors="backslashreplace"))
 
 
-_LONG_SUFFIX = 100
-"""Bytes of a suffix that the name of a temporary file does not repeat."""
+_LONG_SUFFIX = 100  # Bytes of a suffix that the name of a temporary file does not repeat.
 _TEMPORARY = re.compile(r"\.protochain-[0-9a-f]{32}\w*\.part(\..+)?")
 """Names of temporary files and folders, which no other program and no user writes."""
 
@@ -142,8 +140,7 @@ def claimed_files(*paths: Path) -> Iterator[None]:
         yield
 
 
-_LOCKS: set[tuple[Path, int]] = set()
-"""Lock files that this process has locked, and the thread that did."""
+_LOCKS: set[tuple[Path, int]] = set()  # Lock files that this process has locked, and the thread that did.
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from protochain.energies.decomposed import TERMS
 from protochain.minimisers.record import LIGANDS
 from protochain.minimisers.verdict import Status
 from protochain.results import columns
-from protochain.results.columns import UNITS, Column, heading, largest, number
+from protochain.results.columns import UNITS, Column, entry_of, heading, largest, number
 from protochain.validation import MEASURES
 from protochain.validation.findings import REMAINS
 from protochain.validation.fixed import fixed_counts
@@ -104,14 +104,15 @@ def interface_column(key: str, when: str) -> str:
     return f"interface_{key.removesuffix(ending)}_{when}{ending}"
 
 
-def _score(key: str, when: str, relaxation: Any) -> Any:
-    return getattr(relaxation, f"interface_{when}").scores[key]
-
-
+_SCORES_OF = {when: attrgetter(f"interface_{when}.scores") for when in ("start", "end")}
 INTERFACE_COLUMNS = (
     Column("interface", lambda r: r.settings.interface),
     *(
-        Column(interface_column(key, when), partial(_score, key, when), kind=number(score))
+        Column(
+            interface_column(key, when),
+            partial(entry_of, attrgetter(f"interface_{when}.scores"), key),
+            kind=number(score),
+        )
         for key, score in SCORES.items()
         for when in ("start", "end")
     ),
@@ -164,5 +165,4 @@ def _format(value: Any) -> str:
     return f"{value:.3g}" if abs(value) >= _LARGE_VALUE else f"{value:.1f}"
 
 
-_LARGE_VALUE = 1e7
-"""Limit above which numbers have exponents: energies of overlapping atoms."""
+_LARGE_VALUE = 1e7  # Limit above which numbers have exponents: energies of overlapping atoms.

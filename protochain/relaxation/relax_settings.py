@@ -10,7 +10,7 @@ from protochain.chains.restraint_lines import read_restraints
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, in_range, number, optional, refuse_unknown, sequences, text
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.settings import Settings, document_fields, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
@@ -115,13 +115,8 @@ class RelaxSettings(Settings):
         if self.protocol:
             refuse_unknown(self.protocol, "protocol", PROTOCOLS)
         if self.protocol and self.preset != defaults.PRESET:
-            raise ProtochainError(
-                Argument("preset"),
-                f" {self.preset}: ",
-                Argument("protocol"),
-                f" {self.protocol} has its own; give one of them",
-            )
-
+            remedy = Argument("protocol"), f" {self.protocol} has its own; give one of them"
+            raise refusal("preset", self.preset, *remedy)
         if self.score_only and (self.repack or self.repack_region):
             raise ProtochainError(Argument("score_only"), ": no atom moves; remove ", Argument("repack"))
 
@@ -144,12 +139,8 @@ class RelaxSettings(Settings):
         for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
             value, fixed = getattr(base, name), getattr(strength, name)
             if fixed and value not in (usual, fixed):
-                raise ProtochainError(
-                    Argument(name),
-                    f" {value}: ",
-                    Argument("protocol"),
-                    f" {self.protocol} is {fixed}; leave one of them out",
-                )
+                remedy = Argument("protocol"), f" {self.protocol} is {fixed}; leave one of them out"
+                raise refusal(name, value, *remedy)
         return replace(
             base, forcefield=strength.forcefield or base.forcefield,
             solvent=strength.solvent or base.solvent,
@@ -180,9 +171,8 @@ def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
             f"relax has no option {unknown!r}; {suggestion}it takes {', '.join(names.values())}"
         )
     relaxing = RelaxSettings(**{name: value for name, value in options.items() if name in NAMES})
-    return relaxing, relaxing.setup(
-        Setup(**{name: value for name, value in options.items() if name in of_setup})
-    )
+    setup = Setup(**{name: value for name, value in options.items() if name in of_setup})
+    return relaxing, relaxing.setup(setup)
 
 
 WITHOUT = ("hinges", "root")

@@ -41,8 +41,7 @@ from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import as_native
 from protochain.validation.omega import describe_bonds
 
-_NAMED = 3
-"""Residues and bonds that a message names."""
+_NAMED = 3  # Residues and bonds that a message names.
 
 
 @check_arguments(watch=WATCHER)

@@ -27,8 +27,7 @@ _NEAR = 0.6
 """Share of the sum of the van der Waals radii. Closer atoms are in conflict. Hydrogen bonds are longer."""
 _STAYING = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "CB", "C", "O", "OXT")
 """Atoms of a residue that no chi turns."""
-_ROUNDS = 3
-"""Repetitions, with the residues that are still in conflict."""
+_ROUNDS = 3  # Repetitions, with the residues that are still in conflict.
 
 
 def repack_side_chains(

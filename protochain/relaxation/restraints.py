@@ -14,14 +14,12 @@ from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
 _STIFFNESS = 1000.0
 """kJ/mol/rad^2. ff14SB resists the twist by springs to a bad model with at most 84 kJ/mol/rad. At 5 degrees
 beyond the usual range this term has the same torque."""
-_USUAL = 25.0
-"""Degrees from the target form up to which the energy is 0. In crystals 6 degrees are usual."""
+_USUAL = 25.0  # Degrees from the target form up to which the energy is 0. In crystals 6 degrees are usual.
 _HARMONIC = np.radians(15.0)
 """Range beyond which the torque is constant: three times ff14SB's, which does not straighten angles."""
 _NEAR = 0.34
 """nm between the C-alphas: 0.29 in cis bonds, 0.38 in trans bonds. Noise changes omega more than this."""
-_SHORTEST = 0.01
-"""nm. Lower limit of bond lengths in the slopes of dihedrals."""
+_SHORTEST = 0.01  # nm. Lower limit of bond lengths in the slopes of dihedrals.
 
 
 @dataclass(frozen=True, eq=False)

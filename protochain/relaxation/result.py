@@ -219,15 +219,12 @@ class Relaxation(RunEnds):
     def _repr_html_(self) -> str:
         start, end = self.measures_start, self.measures_end
         rows = {MEASURES[key].what: f"{_format(start[key])} to {_format(end[key])}" for key in MEASURES}
+        moved = {"moved": f"{self.n_atoms_moving} of {self.start.n_atoms} atoms"}
         return facts(
             f"{self.start.name} relaxed",
             {
                 "status": self.message,
-                **(
-                    {"moved": f"{self.n_atoms_moving} of {self.start.n_atoms} atoms"}
-                    if self.move != defaults.MOVE
-                    else {}
-                ),
+                **(moved if self.move != defaults.MOVE else {}),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": (
                     f"{self.ca_rmsd_angstrom:.3f} angstrom{describe_motion(self.ligand_motion)}"

@@ -14,16 +14,12 @@ from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.sidechains.arms import WIDTH, arm_of, backbone_of, dihedral_grid, wrap_angle
 from protochain.structure.sidechains.rotamers import rotamers
 
-_MOST_CHI = 4
-"""The fifth chi of arginine is planar."""
-_RARITY = 5.0
-"""kJ/mol: factor of the logarithm of a rotamer's frequency, twice kT."""
+_MOST_CHI = 4  # The fifth chi of arginine is planar.
+_RARITY = 5.0  # kJ/mol: factor of the logarithm of a rotamer's frequency, twice kT.
 _RAREST = 10.0
 """Upper limit of the rarity of the input's dihedrals: outliers cost as much as the rarest rotamers."""
-_STAYING = 10.0
-"""kJ/mol that a turn must gain. Relaxation removes smaller strain."""
-_TURNS = np.deg2rad([0.0, -12.0, 12.0])
-"""Turns about chi1 of a rotamer."""
+_STAYING = 10.0  # kJ/mol that a turn must gain. Relaxation removes smaller strain.
+_TURNS = np.deg2rad([0.0, -12.0, 12.0])  # Turns about chi1 of a rotamer.
 _STAGGERED, _PLANAR = np.deg2rad([60.0, 180.0, -60.0]), np.deg2rad([0.0, 180.0])
 _POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANAR}
 """Dihedrals of hydroxyl and thiol hydrogens."""

@@ -33,15 +33,13 @@ from protochain.structure import Structure
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
 """Pairs of L-BFGS. While overlaps separate, the curvature changes so much that older pairs mislead."""
-_REFRESH = 20
-"""Iterations between two models of the Hessian."""
+_REFRESH = 20  # Iterations between two models of the Hessian.
 _STIFFER = 60e3
 """kJ/mol/nm^2, added to the model of the Hessian for every atom, because springs make steps short. With 60
 times 1000 instead of 8 the number of evaluations is halved."""
 _STIFFER_NEAR = 10e3
 """kJ/mol/nm^2, the same for the model from the near terms. It saves a fifth of the evaluations."""
-_HIGH = 1000.0
-"""kJ/mol/nm, RMS force above which a coarse energy is minimised first, several times as fast."""
+_HIGH = 1000.0  # kJ/mol/nm, RMS force above which a coarse energy is minimised first, several times as fast.
 
 _WEAKER = 0.1
 """Factor of the springs of residues with violations after their first round, 0 after the next. Removing all
@@ -183,13 +181,14 @@ class Relaxer:
             if bonded is not None:
                 repulsion = SoftRepulsion(self.structure, share=share, stiffness=stiffness)
                 soft = self._preparatory_stage(Sum([bonded, repulsion]), springs, is_soft=True)
-                stages.append(
-                    replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0)
-                )
+                stages.append(replace(soft, ready=self._overlaps))
         rough = getattr(self.energy, "coarse", None)
         if rough is not None:
             stages.append(replace(self._preparatory_stage(rough, springs), ready=self._is_high))
         return stages
+
+    def _overlaps(self, stage: Stage, at: Placement) -> bool:
+        return len(overlapping(self.structure, at.x)[0]) > 0
 
     def _is_high(self, stage: Stage, at: Placement) -> bool:
         return evaluate(self._space, self.energy, at.q).residual > _HIGH
@@ -201,13 +200,7 @@ class Relaxer:
         ligands and sugars, which the mean force of a large protein does not detect.
         """
         stage = self._preparatory_stage(getattr(self.energy, "coarse", self.energy), springs)
-        stages = [
-            replace(
-                stage,
-                ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed_bonds(at.x))),
-            )
-        ]
-        s = self.structure
+        stages, s = [replace(stage, ready=self._needs_correction)], self.structure
         if s.ligands or s.glycans:
             sugars = np.flatnonzero(np.isin(s.atom_residue, [*s.glycans]))
             atoms = np.concatenate([sugars, *(ligand.atoms for ligand in s.ligands)])
@@ -216,6 +209,9 @@ class Relaxer:
                 replace(on, ready=lambda _, at: bool(np.isin(atoms, self.chirality.low_volumes(at.x)).any()))
             ]
         return stages
+
+    def _needs_correction(self, stage: Stage, at: Placement) -> bool:
+        return bool(self.shapes(at.x)[0] or len(self.peptides.reversed_bonds(at.x)))
 
     def _preparatory_stage(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
         """Preparatory stage on another energy, which may fail and whose end is never the result."""
@@ -236,13 +232,11 @@ class Relaxer:
         )  # fmt: skip
 
     def _method(self, springs: Tethers, is_soft: bool = False) -> Descent:
-        if self._space.terms is None:
-            direction = LBFGS(TetheredModel(springs.weight + _STIFFER, is_soft, _REFRESH), _MEMORY)
-        else:
-            direction = LBFGS(
-                TetheredModel(springs.weight + _STIFFER_NEAR, is_soft, NEAR_REFRESH), NEAR_MEMORY
-            )
-        return Descent(direction, StrongWolfe())
+        stiffer, refresh, memory = _STIFFER, _REFRESH, _MEMORY
+        if self._space.terms is not None:
+            stiffer, refresh, memory = _STIFFER_NEAR, NEAR_REFRESH, NEAR_MEMORY
+        model = TetheredModel(springs.weight + stiffer, is_soft, refresh)
+        return Descent(LBFGS(model, memory), StrongWolfe())
 
     @cached_property
     def shapes(self) -> Sum:
@@ -301,14 +295,12 @@ class Relaxer:
         return touching
 
 
-_TURNED = 1.0
-"""kJ/mol/nm, RMS force at which the turning of a ligand's centre ends."""
+_TURNED = 1.0  # kJ/mol/nm, RMS force at which the turning of a ligand's centre ends.
 _ENDLESS = 1_000_000_000
 _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
 def _tethers(restraint: Force | None) -> Tethers:
-    """Springs of a stage's restraint."""
     springs = restraint.parts[0] if isinstance(restraint, Sum) else restraint
     assert isinstance(springs, Tethers)
     return springs

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -114,36 +115,29 @@ def of_measures(measures: Mapping[str, Any], *whens: str) -> Iterator[Column]:
     """Columns of measures of the structure at the ``start`` or ``end`` of a run."""
     for key, measure in measures.items():
         for when in whens:
-            yield Column(f"{key}_{when}", partial(_measure, key, when), kind=number(measure))
+            values = attrgetter(f"measures_{when}")
+            yield Column(f"{key}_{when}", partial(entry_of, values, key), kind=number(measure))
 
 
-def _measure(key: str, when: str, result: Any) -> Any:
-    return getattr(result, f"measures_{when}")[key]
+def entry_of(values: Callable[[Any], Any], key: str, result: Any) -> Any:
+    """Entry of the mapping that ``values`` returns for a result, None if it is missing."""
+    return values(result).get(key)
 
 
 def of_remains(keys: Iterable[str]) -> Iterator[Column]:
     """Columns of residues with remaining problems at the end of a run, which a biologist may reject."""
     for key in keys:
-        yield Column(key, partial(_remaining, key), kind=list[str])
-
-
-def _remaining(key: str, result: Any) -> list[str]:
-    residues: list[str] = result.remains_end[key]
-    return residues
+        yield Column(key, partial(entry_of, attrgetter("remains_end"), key), kind=list[str])
 
 
 def of_terms(names: Iterable[str]) -> Iterator[Column]:
     """Columns of the terms of the energy, and of the separate restraints, None if unknown."""
     for name in names:
         for when in ("start", "end"):
-            yield Column(f"energy_{name}_{when}_kj_mol", partial(_term, name, when), is_term=True)
+            value = partial(entry_of, attrgetter(f"terms_{when}"), name)
+            yield Column(f"energy_{name}_{when}_kj_mol", value, is_term=True)
     for k, when in enumerate(("start", "end")):
         yield Column(f"energy_restraints_{when}_kj_mol", partial(_restraints, k))
-
-
-def _term(name: str, when: str, result: Any) -> float | None:
-    value: float | None = getattr(result, f"terms_{when}").get(name)
-    return value
 
 
 def _restraints(index: int, result: Any) -> float | None:

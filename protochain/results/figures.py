@@ -17,8 +17,7 @@ from protochain.core.storage import write_atomically
 
 FORMATS = (".svg", ".pdf", ".png")
 """Formats of figures for papers."""
-_LARGE = 150_000
-"""Bytes of an SVG beyond which a page has a PNG."""
+_LARGE = 150_000  # Bytes of an SVG beyond which a page has a PNG.
 
 
 def plain(ax: Axes) -> None:

@@ -12,6 +12,7 @@ from protochain.core.lazy_pandas import pd
 from protochain.core.palette import looks
 from protochain.core.storage import write_text
 from protochain.results.columns import flat, heading
+from protochain.results.provenance import command_line, of_run
 
 
 def render(template: str, /, **variables: Any) -> str:
@@ -20,12 +21,11 @@ def render(template: str, /, **variables: Any) -> str:
 
 
 def write_page(path: Path, template: str, /, **variables: Any) -> None:
-    """Write a page from a template."""
-    write_text(path, render(template, **variables))
+    """Write a page from a template, which also has the command of this process."""
+    write_text(path, render(template, command=command_line(), **variables))
 
 
-_COUNTED = ("frame", "rank", "time_ps")
-"""Columns without histograms."""
+_COUNTED = ("frame", "rank", "time_ps")  # Columns without histograms.
 
 
 def table_data(
@@ -66,7 +66,6 @@ def _short(value: Any) -> int | float | None:
 def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> None:
     """Write the page of a scan: its description, its figure, and all its points."""
     from protochain.results.figures import data_url
-    from protochain.results.provenance import of_run
 
     run = of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
     write_page(path, "scan.html", title=title, text=text, figure=data_url(figure), table=table, run=run)

@@ -19,8 +19,7 @@ from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
 
-_POCKET = 0.5
-"""nm. Distance from a ligand."""
+_POCKET = 0.5  # nm. Distance from a ligand.
 _ALL_ATOMS = 5000
 """Limit of atoms. Larger structures are shown without hydrogens, which would add megabytes to the page."""
 
@@ -100,8 +99,7 @@ def _residues(structure: Structure, suffix: str) -> list[str]:
 
 
 DISPLACEMENT = "displacement, angstrom"
-_FULL_RED = 2.0
-"""Angstrom of displacement at which the colour saturates, or less if few atoms moved as far."""
+_FULL_RED = 2.0  # Angstrom of displacement at which the colour saturates, or less if few atoms moved as far.
 _MOST = 0.98
 """Share of values within the colour scale, so that a few large values do not make all others grey."""
 
@@ -136,8 +134,7 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
     of = structure.atom_residue
 
     def atom(k: int) -> dict[str, Any]:
-        (place,) = selections([int(of[k])])
-        return place | {"atom": str(structure.atom_name[k])}
+        return selections([int(of[k])])[0] | {"atom": str(structure.atom_name[k])}
 
     def selections(residues: Iterable[int]) -> list[dict[str, Any]]:
         return [
@@ -147,23 +144,13 @@ def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[s
 
     pocket_list = []
     for ligand in structure.ligands:
-        residue = int(structure.atom_residue[ligand.atoms[0]])
-        near = {
-            r
-            for x in ends
-            for r in structure.atom_residue[cKDTree(x[ligand.atoms]).query(x)[0] < _POCKET].tolist()
-        }
-        name = str(structure.residue(residue))
-        pocket_list.append(
-            {
-                "name": name,
-                "ligand": selections([residue]),
-                "near": selections(sorted(near - {residue})),
-                "bonds": [
-                    [atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == residue) != (of[j] == residue)
-                ],
-            }
-        )
+        residue = int(of[ligand.atoms[0]])
+        near = {r for x in ends for r in of[cKDTree(x[ligand.atoms]).query(x)[0] < _POCKET].tolist()}
+        across = [(i, j) for i, j in bonds.tolist() if (of[i] == residue) != (of[j] == residue)]
+        pocket_list.append({
+            "name": str(structure.residue(residue)), "ligand": selections([residue]),
+            "near": selections(sorted(near - {residue})), "bonds": [[atom(i), atom(j)] for i, j in across],
+        })  # fmt: skip
     return pocket_list
 
 

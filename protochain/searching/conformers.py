@@ -21,15 +21,11 @@ def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     residues = [res for res in Moves.of(chain).residues if res.psi != NONE]
     residues = [res for res in residues if not (res.is_first or res.is_last)]
     residues = [res for res in residues if res.phi != NONE or res.name == "PRO"]
-    phi = [
-        np.rad2deg(q[..., res.phi]) if res.phi != NONE else np.full(q.shape[:-1], res.mirror * PROLINE_PHI)
-        for res in residues
-    ]
-    psi = [np.rad2deg(q[..., res.psi]) for res in residues]
-    shape = (*q.shape[:-1], len(residues))
-    return np.stack(phi, axis=-1) if phi else np.empty(shape), np.stack(psi, axis=-1) if psi else np.empty(
-        shape
-    )
+    phi, psi = np.empty((2, *q.shape[:-1], len(residues)))
+    for k, res in enumerate(residues):
+        phi[..., k] = np.rad2deg(q[..., res.phi]) if res.phi != NONE else res.mirror * PROLINE_PHI
+        psi[..., k] = np.rad2deg(q[..., res.psi])
+    return phi, psi
 
 
 def regions(phi: Floats, psi: Floats) -> NDArray[np.int64]:

@@ -21,8 +21,7 @@ from protochain.structure import save as save_structure
 
 N_WRITTEN = 20
 """Number of lowest minima that are written as files."""
-_N_SHOWN = 25
-"""Number of minima in the table of the page."""
+_N_SHOWN = 25  # Number of minima in the table of the page.
 TABLES = ("minima.csv", "populations.csv", "conformers.csv", "energy-rmsd.png")
 
 

@@ -61,15 +61,10 @@ class Hops:
         accepted = metropolis(end.energy - state.energy, self.temperature, random)
         n_evaluations = state.n_evaluations + end.n_evaluations
         finding = Finding.minimum(end.q, end.energy, n_evaluations)
-        after = replace(
-            state,
-            n_done=hop,
-            n_accepted=state.n_accepted + accepted,
-            n_evaluations=n_evaluations,
-            size=_adapt(state.size, accepted)
-            if kind in ("crankshaft", "turn") and hop <= N_ADAPTIVE
-            else state.size,
-        )
+        adapts = kind in ("crankshaft", "turn") and hop <= N_ADAPTIVE
+        size = _adapt(state.size, accepted) if adapts else state.size
+        n_accepted = state.n_accepted + accepted
+        after = replace(state, n_done=hop, n_accepted=n_accepted, n_evaluations=n_evaluations, size=size)
         return (replace(after, q=end.q, energy=end.energy) if accepted else after), finding
 
 

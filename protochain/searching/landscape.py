@@ -43,8 +43,7 @@ if TYPE_CHECKING:
 TRAJECTORY_LENGTH = 20
 """Steps of a trajectory of hybrid Monte Carlo."""
 
-_MOST = 2000
-"""Limit of the evaluations of one descent. From random torsions a tenth is usual."""
+_MOST = 2000  # Limit of the evaluations of one descent. From random torsions a tenth is usual.
 
 
 class DescentEnd(NamedTuple):

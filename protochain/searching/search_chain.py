@@ -36,12 +36,9 @@ from protochain.searching.walker_steps import (
     write_piece,
 )
 
-_ATTEMPTS = 5
-"""Attempts at a piece whose process ends: more memory may be available the next time."""
-_POLL = 0.2
-"""s between checks for interrupts."""
-_LONG = 600.0
-"""s. Time limit of a piece, whose single steps may be long."""
+_ATTEMPTS = 5  # Attempts at a piece whose process ends: more memory may be available the next time.
+_POLL = 0.2  # s between checks for interrupts.
+_LONG = 600.0  # s. Time limit of a piece, whose single steps may be long.
 
 
 @document_fields
@@ -180,16 +177,11 @@ class _Walks:
             [Finding.empty(landscape.chain.n_hinges, settings.n_replicas * (settings.method == "tempering"))]
             for _ in self.methods
         ]
-        # Only pieces in a folder have it. The fingerprint builds a System.
-        self.identity = (
-            {}
-            if folder is None
-            else {
-                "search": settings.method,
-                **{name: value for name, value in settings.record().items() if name != "method"},
-                **run_identity(landscape.chain, landscape.energy),
-            }
-        )
+        self.identity: dict[str, Any] = {}
+        if folder is not None:  # Only pieces in a folder have it. The fingerprint builds a System.
+            others = {name: value for name, value in settings.record().items() if name != "method"}
+            identity = run_identity(landscape.chain, landscape.energy)
+            self.identity = {"search": settings.method, **others, **identity}
         self.n_pieces = [0] * settings.n_walkers
         if folder is not None and running.resume:
             for walker in range(settings.n_walkers):
@@ -270,10 +262,8 @@ def _work(
                     if time_left() <= 0.0 and walks.have_begun:
                         return False
                     span = min(SECONDS, time_left())
-                    store(
-                        walker,
-                        *advance(walks.landscape, walks.methods[walker], walks.states[walker], share, span),
-                    )
+                    method, state = walks.methods[walker], walks.states[walker]
+                    store(walker, *advance(walks.landscape, method, state, share, span))
                     if interrupts:
                         return True
             return False

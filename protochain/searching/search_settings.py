@@ -14,8 +14,7 @@ from protochain.core.settings import Settings, setting
 METHODS = ("csa", "hopping", "tempering")
 
 _LOWEST, _HIGHEST = 1.0, 1e5
-_MOST = 10_000
-"""Limit of walks, and of replicas of each walk. Each has its own random numbers."""
+_MOST = 10_000  # Limit of walks, and of replicas of each walk. Each has its own random numbers.
 
 
 def _up_to_most(least: int) -> Check:

@@ -25,8 +25,7 @@ QUENCHED = 5
 TARGET = 0.8
 """Acceptance of trajectories to which the pilot adapts the time steps."""
 _GAIN = 0.1
-_STEPS = 0.002, 0.04
-"""Shortest and longest time step, ps."""
+_STEPS = 0.002, 0.04  # Shortest and longest time step, ps.
 _RAREST, _MOST_FREQUENT = 1e-3, 0.999
 """Limits of acceptances. Values closer to 0 or 1 would need more trials than a pilot has."""
 

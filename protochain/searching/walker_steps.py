@@ -22,8 +22,7 @@ from protochain.searching.landscape import Landscape
 
 SECONDS = 5.0
 """Length of a piece, and so the largest loss by a kill. Starting a piece costs a thousandth of it."""
-_STREAMS = 1 << 16
-"""Streams of random numbers of a walker: one for each of its replicas and one for itself."""
+_STREAMS = 1 << 16  # Streams of random numbers of a walker: one for each of its replicas and one for itself.
 
 
 def stream(walker: int, replica: int = -1) -> int:
