@@ -15,17 +15,8 @@ from typing import Any
 
 from protochain.batches.naming import Earlier, NameRequest, absolute, assign_names
 from protochain.chains.setup import ALL_MODELS, Setup, parse_models
-from protochain.core import defaults
-from protochain.core.checks import (
-    MOLECULE_SUFFIXES,
-    RENAMED_KEYWORDS,
-    check_fields,
-    designs,
-    file_and_record,
-    force_field_parts,
-    instance,
-    several,
-)
+from protochain.core import checks, defaults
+from protochain.core.checks import designs, file_and_record, instance, several
 from protochain.core.errors import Argument, ProtochainError, refusal
 from protochain.core.settings import Setting, document_fields, setting, settings_of
 from protochain.core.storage import as_utf8, regular
@@ -66,7 +57,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     relaxing: RelaxSettings = field(default_factory=RelaxSettings)
 
     def __post_init__(self) -> None:
-        check_fields(
+        checks.check_fields(
             self, setup=instance(Setup, "protochain.Setup()"),
             relaxing=instance(RelaxSettings, "protochain.relaxation.RelaxSettings()"),
         )  # fmt: skip
@@ -202,7 +193,7 @@ _SETTINGS = {
 }
 _IN_MANIFEST = {name: _reader(option) for name, option in _SETTINGS.items()}
 """Columns of a manifest, except ``path``, and readers of their cells. Angles are in degrees."""
-_OF_OPTION = {c: n for n, option in _SETTINGS.items() for c in option.columns(n)} | RENAMED_KEYWORDS
+_OF_OPTION = {c: n for n, option in _SETTINGS.items() for c in option.columns(n)} | checks.RENAMED_KEYWORDS
 """Fields by the names of their options. A manifest may use both names, and former ones."""
 _COLUMNS = tuple(option.columns(name)[0] for name, option in _SETTINGS.items())
 
@@ -227,7 +218,7 @@ class Job:
         """Copy for a worker in another folder, with absolute paths of files."""
         setup = self.settings.setup
         files = {str(file): str(file.absolute()) for file in _files(setup)}
-        force_field = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
+        force_field = ",".join(files.get(part, part) for part in checks.force_field_parts(setup.forcefield))
         records = [(name, source, *file_and_record(source)) for name, source in setup.ligands]
         ligands = tuple(
             (name, f"{files[str(file)]}#{record}".removesuffix("#0") if str(file) in files else source)
@@ -421,7 +412,9 @@ def _poses(job_input: _JobInput) -> list[_JobInput]:
         raise ProtochainError(f"{further[0]}: has several poses, as {group}; place all in one file or folder")
     sources = poses(Path(group))
     if not sources:
-        raise ProtochainError(f"{group}: contains no poses; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
+        raise ProtochainError(
+            f"{group}: contains no poses; give a folder of {', '.join(checks.MOLECULE_SUFFIXES)}"
+        )
     other_ligands = tuple(part for part in ligands if part != ("", group))
     return [
         replace(

@@ -8,16 +8,8 @@ from typing import Any
 
 from protochain.chains.articulate import with_energy
 from protochain.comparison.comparison import Comparison
-from protochain.core import defaults
+from protochain.core import checks, defaults
 from protochain.core.arrays import Watcher
-from protochain.core.checks import (
-    at_least,
-    check_arguments,
-    function,
-    refuse_misplaced,
-    refuse_unknown,
-    several,
-)
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
@@ -33,7 +25,7 @@ SETTINGS = tuple(
 """Settings of a minimisation that a comparison has too, without restraints to the start."""
 
 
-@check_arguments(methods=several, repeats=at_least(1), watch=function("method"))
+@checks.check_arguments(methods=checks.several, repeats=checks.at_least(1), watch=checks.function("method"))
 @held_interrupts()
 def compare(
     structure: Any,
@@ -94,8 +86,8 @@ def compare(
     if not recipes:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
     for name in settings:
-        refuse_misplaced("compare", name)
-        refuse_unknown(name, "setting", SETTINGS)
+        checks.refuse_misplaced("compare", name)
+        checks.refuse_unknown(name, "setting", SETTINGS)
     runs = [Minimisation(recipe, tolerance=tolerance, **settings) for recipe in recipes.values()]
     chain, energy = with_energy(structure, energy)
     if reference is not None:

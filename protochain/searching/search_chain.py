@@ -19,22 +19,14 @@ from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import document_fields, document_settings, settings_from
 from protochain.core.storage import check_writable, claim_folder
 from protochain.results.run_folder import refuse_earlier, remove_files
+from protochain.searching import walker_steps
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
 from protochain.searching.result import Search
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 from protochain.searching.tempering import Replicas
-from protochain.searching.walker_steps import (
-    SECONDS,
-    Finding,
-    Method,
-    Piece,
-    PieceEnd,
-    advance,
-    read_piece,
-    write_piece,
-)
+from protochain.searching.walker_steps import SECONDS, Finding, Method, Piece, PieceEnd
 
 _ATTEMPTS = 5  # Attempts at a piece whose process ends: more memory may be available the next time.
 _POLL = 0.2  # s between checks for interrupts.
@@ -197,7 +189,7 @@ class _Walks:
                     f"{piece}: the piece before it is missing; put it back, or search again with ",
                     Argument("force", True),
                 )
-            state, finding = read_piece(piece, kind, self.identity)
+            state, finding = walker_steps.read_piece(piece, kind, self.identity)
             self.states[walker] = state
             self.findings[walker].append(finding)
             self.n_pieces[walker] = number + 1
@@ -211,7 +203,8 @@ class _Walks:
         if state is None or state is self.states[walker]:
             return
         if self.folder is not None:
-            write_piece(self._path(self.folder, walker, self.n_pieces[walker]), state, finding, self.identity)
+            path = self._path(self.folder, walker, self.n_pieces[walker])
+            walker_steps.write_piece(path, state, finding, self.identity)
         self.states[walker] = state
         self.findings[walker].append(finding)
         self.n_pieces[walker] += 1
@@ -263,7 +256,7 @@ def _work(
                         return False
                     span = min(SECONDS, time_left())
                     method, state = walks.methods[walker], walks.states[walker]
-                    store(walker, *advance(walks.landscape, method, state, share, span))
+                    store(walker, *walker_steps.advance(walks.landscape, method, state, share, span))
                     if interrupts:
                         return True
             return False
