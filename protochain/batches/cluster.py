@@ -82,11 +82,8 @@ def open_workers(processes: Processes) -> Iterator[Workers]:
             yield Workers(executor.submit, lambda: processes.count)
     else:
         with _connect(processes.scheduler) as client:
-            yield Workers(
-                partial(client.submit, pure=False),
-                lambda: sum(client.nthreads().values()),
-                client.dashboard_link,
-            )
+            submit = partial(client.submit, pure=False)
+            yield Workers(submit, lambda: sum(client.nthreads().values()), client.dashboard_link)
 
 
 class Submitted:

@@ -325,10 +325,8 @@ def find_jobs(
     )
     jobs = [Job("", i.path.absolute(), i.settings, _key(i.path, i.settings, i.pose)) for i in inputs_found]
     requested = [
-        NameRequest(
-            job.path, job_input.root, job.settings.setup.model, job.key, job.settings.methods, job_input.pose
-        )
-        for job_input, job in zip(inputs_found, jobs, strict=True)
+        NameRequest(job.path, i.root, job.settings.setup.model, job.key, job.settings.methods, i.pose)
+        for i, job in zip(inputs_found, jobs, strict=True)
     ]
     return [replace(job, name=name) for job, name in zip(jobs, assign_names(requested, earlier), strict=True)]
 

@@ -65,11 +65,8 @@ def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     """Sort rows: without a result, not converged, converged, and in each the largest RMSD first."""
     rank = np.where(table[USABLE].isna(), 0, np.where(table["status"] != "converged", 1, 2))
-    return (
-        table.assign(rank=rank, far=-table["ca_rmsd_angstrom"].astype(float))
-        .sort_values(["rank", "far"], kind="stable")
-        .drop(columns=["rank", "far"])
-    )
+    ranked = table.assign(rank=rank, far=-table["ca_rmsd_angstrom"].astype(float))
+    return ranked.sort_values(["rank", "far"], kind="stable").drop(columns=["rank", "far"])
 
 
 def plot_distributions(table: "pd.DataFrame") -> Figure:

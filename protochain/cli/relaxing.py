@@ -155,12 +155,9 @@ def print_folder(table: "pd.DataFrame", folder: Path) -> None:
         valid = f"{'is' if n_valid == 1 else 'are'} valid"
         tell(Kind.VERDICT, f"{n_valid} of {plural(len(table), 'pose')} {valid}: {tests}")
     if len(usable):
-        tell(
-            Kind.RESULT,
-            f"{count_violations(usable)}; medians: C-alpha RMSD "
-            f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
-            f"{ligands_moved(usable)}",
-        )
+        rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
+        medians = f"medians: C-alpha RMSD {rmsd:.2f} angstrom, {seconds:.1f} s{ligands_moved(usable)}"
+        tell(Kind.RESULT, f"{count_violations(usable)}; {medians}")
     overlapping = usable[usable["overlaps_beside_start"] > 0]
     if len(overlapping):
         names = [

@@ -252,11 +252,8 @@ def foretell(chain: "Chain", energy: "Energy", evaluations: int, limit: int) -> 
         if seconds * evaluations < _LONG:
             return
     usual = f"typically {evaluations} of at most {limit}" if evaluations < limit else f"at most {limit}"
-    tell(
-        Kind.PROGRESS,
-        f"{chain.n_atoms} atoms, {seconds:.2g} s an energy, {usual} evaluations: "
-        f"about {_clock(seconds * evaluations)}",
-    )
+    work = f"{chain.n_atoms} atoms, {seconds:.2g} s an energy, {usual} evaluations"
+    tell(Kind.PROGRESS, f"{work}: about {_clock(seconds * evaluations)}")
 
 
 def _clock(seconds: float) -> str:

@@ -175,15 +175,10 @@ class Comparison:
     @cached_property
     def work(self) -> pd.DataFrame:
         """Cost to reach 100, 10 and 1 kJ/mol above the lowest end with the same degrees of freedom."""
-        lowest = {
-            s.method: min(
-                solution.end.energy
-                for solution in self.solutions + self.repeats
-                if solution.keeps_geometry == s.keeps_geometry
-            )
-            for s in self.solutions
-        }
-        return work_to_reach(self.traces, lowest)
+        lowest: dict[bool, float] = {}
+        for s in self.solutions + self.repeats:
+            lowest[s.keeps_geometry] = min(lowest.get(s.keeps_geometry, s.end.energy), s.end.energy)
+        return work_to_reach(self.traces, {s.method: lowest[s.keeps_geometry] for s in self.solutions})
 
     @cached_property
     def spread(self) -> pd.DataFrame:

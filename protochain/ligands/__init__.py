@@ -134,11 +134,9 @@ def assign_parameters(
     """Assign parameters to a molecule, with the arguments of :func:`ligand`."""
     by_rule = charges in CHARGE_RULES
     outside = nagl.outside(molecule) if charges == "nagl" else ()
-    model = (
-        partial(charging.by_rule, rule="mmff94" if outside else str(charges))
-        if by_rule
-        else partial(charging.from_file, path=Path(charges))
-    )
+    rule = "mmff94" if outside else str(charges)
+    by_file = partial(charging.from_file, path=Path(charges))
+    model = partial(charging.by_rule, rule=rule) if by_rule else by_file
     default = smirnoff.SAGE_2_2 if by_rule and charges != "nagl" else smirnoff.SAGE_2_3
     rules = smirnoff.read(default if forcefield is None else Path(forcefield))
     return Ligand(molecule, smirnoff.assign_parameters(molecule, rules, model, not by_rule), charged, outside)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +42,8 @@ class Rotamers:
         before, after = np.rint(np.rad2deg(wrap_angle(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
             return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
-        old, new = (
-            " ".join(f"chi{k} {value}" for k, value in enumerate(degrees.tolist(), 1))
-            for degrees in (before, after)
-        )
+        ends = (enumerate(degrees.tolist(), 1) for degrees in (before, after))
+        old, new = (" ".join(f"chi{k} {value}" for k, value in end) for end in ends)
         return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
 
 
@@ -57,15 +56,13 @@ def rotamers_of(
         fixed |= ~moving
     fixed[[atom for tie in structure.ties for atom in tie.atoms]] = True
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
-    side_chains = (
-        _of_residue(structure, x, residue, range(first[residue], first[residue + 1]), fixed)
-        for residue in residues
-    )
+    atoms = (range(first[residue], first[residue + 1]) for residue in residues)
+    side_chains = map(partial(_of_residue, structure, x, fixed), residues, atoms)
     return [side_chain for side_chain in side_chains if side_chain is not None]
 
 
 def _of_residue(
-    structure: Structure, x: Floats, residue: int, atoms: Sequence[int], fixed: NDArray[np.bool_]
+    structure: Structure, x: Floats, fixed: NDArray[np.bool_], residue: int, atoms: Sequence[int]
 ) -> Rotamers | None:
     """Rotamers of a residue, or None if it has no chi, or its side chain is bonded to others."""
     name = str(structure.residue_name[residue])

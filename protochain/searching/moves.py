@@ -90,13 +90,8 @@ class Moves(Value):
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of moves that the chain has."""
-        by_kind = {
-            "backbone": self.with_backbone,
-            "rotamer": self.with_chi,
-            "crankshaft": self.flips,
-            "turn": self.other_hinges,
-        }
-        return tuple(kind for kind, members in by_kind.items() if members)
+        groups = self.with_backbone, self.with_chi, self.flips, self.other_hinges
+        return tuple(kind for kind, members in zip(WEIGHTS, groups, strict=True) if members)
 
     @cached_property
     def parts(self) -> tuple[list[int], ...]:
