@@ -14,8 +14,8 @@ from protochain.core.checks import at_least, check_arguments, optional, text
 from protochain.core.lazy_pandas import pd
 from protochain.core.settings import document_fields
 from protochain.energies import Energy, as_energy
-from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
+from protochain.energies.requested import cached_energy
 from protochain.relaxation.relax_settings import fixed_options, split
 from protochain.structure import Structure
 from protochain.structure.convert import as_frames

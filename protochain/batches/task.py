@@ -125,7 +125,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
 
 
 def _prepare(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
-    from protochain.energies.energy_cache import cached_energy
+    from protochain.energies.requested import cached_energy
 
     # Standard input of this process carries the jobs.
     structure = setup.load(regular(path))

@@ -22,20 +22,11 @@ _REALS = {
 }  # fmt: skip
 _SIZES = _INTEGERS | _NAMES | _REALS
 """Variables of &rst, and their numbers of values: AMBER's manual, section on distance restraints."""
-
 _INHERITED = (
     "ialtd", "ir6", "ninc", "imult", "r1", "r2", "r3", "r4", "rk2", "rk3", "r1a", "r2a", "r3a", "r4a",
     "rk2a", "rk3a", "fxyz", "outxyz",
 )  # fmt: skip
 """Variables whose values persist from the previous namelist."""
-
-INERT = {
-    "ixpk": "labels of peaks", "nxpk": "labels of peaks", "ifntyp": "without time averages",
-    **dict.fromkeys(("ninc", "imult", "r0a", "r1a", "r2a", "r3a", "r4a", "k0a", "rk2a", "rk3a"),
-                    "without ifvari"),
-}  # fmt: skip
-"""Variables that do not change the energies, and the reason."""
-
 _REFUSED = {
     "nstep1": "restraints of some steps only", "nstep2": "restraints of some steps only",
     "irstyp": "bounds relative to the initial value", "ifvari": "restraints that change with time",
@@ -57,12 +48,10 @@ _WELL = ("r1", "r2", "r3", "r4", "rk2", "rk3")
 
 
 def restraints_of_amber(text: str) -> Iterator[Restraint]:
-    """Yield the restraint of each namelist of a DISANG file, with atoms and residues by number.
-
-    Units are kcal/mol, angstrom and degrees. The namelist with ``iat(1)=0`` ends the file, as in AMBER's
-    manual, "Distance, angle and torsional restraints". Between ``r3`` and ``r4`` the energy is
-    rk3 (R - r3)^2, beyond ``r4`` linear, or with ``ialtd=1`` hyperbolic.
-    """
+    """Yield the restraint of each namelist of a DISANG file, with atoms and residues by number."""
+    # Units are kcal/mol, angstrom and degrees. The namelist with ``iat(1)=0`` ends the file, as in AMBER's
+    # manual, "Distance, angle and torsional restraints". Between ``r3`` and ``r4`` the energy is
+    # rk3 (R - r3)^2, beyond ``r4`` linear, or with ``ialtd=1`` hyperbolic.
     inherited: dict[str, Any] = {}
     end = 0
     for line, name, body in _namelists(text):
@@ -86,8 +75,7 @@ def _namelists(text: str) -> Iterator[tuple[int, str, str]]:
     text, position = _COMMENT.sub(lambda match: match[1] or "", text), 0
     while begin := _NEXT.match(text, position) or _LINE.search(text, position):
         line, name = text.count("\n", 0, begin.start(1)) + 1, begin[1].lower()
-        body = _BODY.match(text, begin.end())
-        if not body:
+        if not (body := _BODY.match(text, begin.end())):
             raise ProtochainError(f"line {line}: namelist &{name} has no end; end it by / or &end")
         yield line, name, body[1]
         position = body.end()
@@ -150,7 +138,6 @@ def _expand_parabola(variables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
-    """Restraint of a namelist."""
     for name, feature in _REFUSED.items():
         if any(variables.get(name, {}).values()):
             raise ProtochainError(f"&rst: {name}: {feature} are not implemented; remove it")
@@ -177,11 +164,7 @@ def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
     if not r1 <= r2 <= r3 <= r4:
         raise ProtochainError(f"&rst: r1 to r4 are {r1:g}, {r2:g}, {r3:g}, {r4:g}; give them in rising order")
     levels = scalar("ialtd", 0) == 1 and not turns
-    if (
-        scalar("ialtd", 0) not in (0, 1)
-        or scalar("ir6", 0) not in (0, 1)
-        or scalar("iresid", 0) not in (0, 1)
-    ):
+    if any(scalar(name, 0) not in (0, 1) for name in ("ialtd", "ir6", "iresid")):
         raise ProtochainError("&rst: ialtd, ir6 and iresid are 0 or 1; correct them")
     # If the parabola has no width, slope and energy are zero.
     below = k2 if r2 > r1 or levels else 0.0

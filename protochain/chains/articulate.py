@@ -99,8 +99,7 @@ def build_chain(
     """
     structure, opened = as_structure(structure), str(hinges).split()
     open_kinds = [word for word in opened if "@" not in word]
-    unknown = [kind for kind in open_kinds if kind not in HINGES]
-    if unknown:
+    if unknown := [kind for kind in open_kinds if kind not in HINGES]:
         raise ChainError(f"hinges {unknown[0]!r} is not a kind of hinge; choose from {' '.join(HINGES)}")
 
     moving = moving_atoms(structure, move)

@@ -22,12 +22,10 @@ class _Token(NamedTuple):
 
 
 def restraints_of_cns(text: str) -> Iterator[Restraint]:
-    """Yield the restraint of each ``assign`` statement of a table: angstrom, degrees, kcal/mol.
-
-    Distances between several atoms, and further pairs after ``or``, are (sum r^-6)^(-1/6). Distances have no
-    stiffness in CNS. A ``weight`` multiplies the stiffness of :class:`Restraint`. Dihedrals have E = C
-    well^ed: X-PLOR's manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints".
-    """
+    """Yield the restraint of each ``assign`` statement of a table: angstrom, degrees, kcal/mol."""
+    # Distances between several atoms, and further pairs after ``or``, are (sum r^-6)^(-1/6). Distances have
+    # no stiffness in CNS. A ``weight`` multiplies the stiffness of :class:`Restraint`. Dihedrals have E = C
+    # well^ed: X-PLOR's manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints".
     tokens = _tokens(text)
     while tokens:
         word, line = tokens.popleft()

@@ -34,23 +34,19 @@ def parse_selection(text: str) -> Selection:
 
 
 def _any_of(tokens: list[str]) -> tuple[Selection, list[str]]:
-    first, tokens = _all_of(tokens)
-    while tokens and tokens[0].lower() == "or":
-        second, tokens = _all_of(tokens[1:])
-        first = _join(np.logical_or, first, second)
-    return first, tokens
+    return _joined(tokens, "or", np.logical_or, lambda terms: _joined(terms, "and", np.logical_and, _factor))
 
 
-def _all_of(tokens: list[str]) -> tuple[Selection, list[str]]:
-    first, tokens = _factor(tokens)
-    while tokens and tokens[0].lower() == "and":
-        second, tokens = _factor(tokens[1:])
-        first = _join(np.logical_and, first, second)
-    return first, tokens
-
-
-def _join(join: np.ufunc, first: Selection, second: Selection) -> Selection:
-    return lambda structure: join(first(structure), second(structure))
+def _joined(
+    tokens: list[str], word: str, join: np.ufunc, read: Callable[[list[str]], tuple[Selection, list[str]]]
+) -> tuple[Selection, list[str]]:
+    """Selection of the parts that a word joins, and the tokens after them."""
+    part, tokens = read(tokens)
+    parts = [part]
+    while tokens and tokens[0].lower() == word:
+        part, tokens = read(tokens[1:])
+        parts.append(part)
+    return lambda structure: join.reduce([part(structure) for part in parts]), tokens
 
 
 def _factor(tokens: list[str]) -> tuple[Selection, list[str]]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.chains.chain import Chain
@@ -33,7 +32,6 @@ class Overlap:
     share: float  # Distance as a fraction of the sum of the van der Waals radii.
     remedy: str  # Methods that can separate them.
     atoms: tuple[int, int]  # Indices.
-    is_with_hetero: bool  # Whether one is of the protein, the other of a hetero molecule.
 
     def __str__(self) -> str:
         return (
@@ -99,14 +97,11 @@ def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
         return read_only(pairs, np.int64), read_only(touch)
     pairs, touch, reach = *near_pairs(structure, x, _NEAR), _covalent(structure)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    as_bonded = _with_hetero(structure, pairs) & (distance < reach[pairs].sum(axis=1))
+    # One atom is of the protein, the other of a hetero molecule.
+    is_mixed = structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]]
+    as_bonded = is_mixed & (distance < reach[pairs].sum(axis=1))
     is_overlap = as_bonded | (distance < OVERLAP * touch)
     return read_only(pairs[is_overlap], np.int64), read_only(touch[is_overlap])
-
-
-def _with_hetero(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
-    """Whether one atom of each pair (n, 2) is of the protein, and the other is not."""
-    return np.asarray(structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]])
 
 
 @per_structure
@@ -125,7 +120,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     """List the overlapping nonbonded pairs, worst first, and whether torsions can separate them."""
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    share, with_hetero = distance / touch, _with_hetero(structure, pairs)
+    share = distance / touch
     groups = chain.rigid_groups if chain is not None and len(pairs) else None
     listed = []
     for k in np.argsort(share, kind="stable"):
@@ -136,10 +131,6 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
             remedy = "they are in one rigid body: only cartesian, hybrid or openmm can separate them"
         else:
             remedy = "turning bonds can separate them: cartesian, hybrid, lbfgs and newton do so first"
-        listed.append(
-            Overlap(
-                structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),
-                float(share[k]), remedy, (i, j), bool(with_hetero[k]),
-            )
-        )  # fmt: skip
+        ends, away = (structure.describe(i), structure.describe(j)), float(ANGSTROM_PER_NM * distance[k])
+        listed.append(Overlap(*ends, away, float(share[k]), remedy, (i, j)))
     return listed

@@ -14,18 +14,16 @@ from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angs
 _TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
 _SHIFTS = np.array([[0.3, 0.2, -0.4], [6.0, 4.0, -8.0]])
 """A rotation and two shifts (nm) that change energies of external fields, such as maps and distant walls."""
-
 _UNCHANGED = 1e-6  # Relative change of an energy by the rounding of moved coordinates.
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Frame in which positions leave a run.
+    """Frame in which positions leave a run."""
 
-    A free run drifts, because its energy does not depend on the place. Its positions are superposed on the
-    start by one rigid motion of all atoms, which changes no distance. A run that is fixed in space is not
-    superposed.
-    """
+    # A free run drifts, because its energy does not depend on the place. Its positions are superposed on the
+    # start by one rigid motion of all atoms, which changes no distance. A run that is fixed in space is not
+    # superposed.
 
     start: Structure  # Structure to superpose on.
     held_by: str = ""  # Cause of the fixed position, empty for a free run.

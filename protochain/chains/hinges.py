@@ -16,7 +16,6 @@ from protochain.structure.molecule.sugars import last_of_ring
 
 HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand", "glycan")
 """Kinds of hinge that can be opened. ``polar`` is the rotors that turn hydrogens of O, S and N."""
-
 ON_AXIS = np.deg2rad(5.0)
 """A hinge with all outer atoms this close to its axis is closed: threshold of cctbx's scitbx/rigid_body."""
 
@@ -187,19 +186,14 @@ def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[
             seen.add(b)
             queue.append(b)
             before[b] = a
-            tips = sorted(
-                (neighbour for neighbour in near[b] if neighbour != a),
-                key=lambda neighbour: element[neighbour] == "H",
-            )
+            tips = sorted((tip for tip in near[b] if tip != a), key=lambda tip: element[tip] == "H")
             in_ring = bool({*near[a]} - {b} & beyond(near, a, b))
             if not tips or {a, b} <= planar or in_ring:
                 continue
             is_chi = element[tips[0]] != "H"
             number += is_chi
-            yield (
-                "chi" if is_chi else "rotors", f"chi{number}" if is_chi else "rotor",
-                [before[a], a, b, tips[0]],
-            )  # fmt: skip
+            kind, label = ("chi", f"chi{number}") if is_chi else ("rotors", "rotor")
+            yield kind, label, [before[a], a, b, tips[0]]
 
 
 def turning_hinges(

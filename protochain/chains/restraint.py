@@ -71,10 +71,8 @@ class Restraint:
             n = " or ".join(map(str, PLACES[self.kind][:2]))
             raise ProtochainError(f"restraint {self}: give {n} places of a {self.kind}")
         turns = self.kind == "dihedral"
-        sound = (
-            all(0.0 <= k < math.inf for k in both_sides(self.stiffness))
-            and min(both_sides(self.linear)) >= 0.0
-        )
+        sound = all(0.0 <= k < math.inf for k in both_sides(self.stiffness))
+        sound &= min(both_sides(self.linear)) >= 0.0
         if self.lower > self.upper and self.kind != "position":
             up = self.upper + 360.0 * math.ceil((self.lower - self.upper) / 360.0)
             low, high = (self.lower, up) if turns else (self.upper, self.lower)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,25 +25,8 @@ from protochain.structure.select import atoms_at
 
 VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 """A restraint is violated if its coordinate is farther outside the bounds."""
-
 Groups = Sequence[list[Integers]]  # Atoms of the places of each restraint.
 _IN_FILE = re.compile(r"(:\d+)?@[^\s@]+(,(:\d+)?@[^\s@]+)*")
-
-
-class Coordinates(Protocol):
-    """Restrained coordinates of one form: their kinds, atoms, values and forces."""
-
-    kinds: ClassVar[tuple[str, ...]]  # Kinds of restraints that have this form.
-
-    @classmethod
-    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
-        """Build the coordinates of restraints."""
-
-    def values(self, x: Floats) -> Floats:
-        """Values (m,) at positions (na, 3), nm or rad."""
-
-    def forces(self, x: Floats, slope: Floats) -> Floats:
-        """Forces (na, 3) of slopes (m,) of the energy along the coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +157,8 @@ class Displacements(Value):
         return _at(self.atoms, pull, len(x))
 
 
+Coordinates = Distances | Centroids | Dihedrals | Displacements
+"""Restrained coordinates of one form: values (m,) at positions (na, 3), and forces of slopes (m,)."""
 FORMS: tuple[type[Coordinates], ...] = (Distances, Centroids, Dihedrals, Displacements)
 
 
@@ -219,8 +204,7 @@ def select_violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
 
 def describe_violations(values: Sequence[RestraintValue]) -> list[str]:
     """Number and worst of the violated restraints, for a message. Empty without violations."""
-    worst = select_violated(values)
-    if not worst:
+    if not (worst := select_violated(values)):
         return []
     number = plural(len(worst), "restraint is violated", "restraints are violated")
     return [f"{number}, the worst by {worst[0].violation:.2f} {worst[0].unit} ({worst[0].restraint})"]
@@ -269,8 +253,7 @@ class Restraints(Value):
         groups = [_groups(structure, restraint) for restraint in listed]
         coordinates, rows = list[Coordinates](), list[int]()
         for form in FORMS:
-            part = [row for row, restraint in enumerate(listed) if restraint.kind in form.kinds]
-            if part:
+            if part := [row for row, restraint in enumerate(listed) if restraint.kind in form.kinds]:
                 chosen = [listed[row] for row in part], [groups[row] for row in part]
                 coordinates.append(form.of(structure, *chosen))
             # Each atom of a position restraint has a value.

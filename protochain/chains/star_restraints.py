@@ -32,12 +32,10 @@ _NUMBERS = (
 
 
 def restraints_of_star(text: str, file: str) -> Iterator[Restraint]:
-    """Yield the distances and dihedrals of a file: angstrom, degrees. Its further data are skipped.
-
-    Rows of one restraint are alternatives, whose distance is (sum r^-6)^(-1/6). A ``weight`` multiplies the
-    stiffness of :class:`Restraint`. Formats: NEF 1.1 (Gutmanas et al., Nat. Struct. Mol. Biol. 22:433, 2015),
-    NMR-STAR 3 (Ulrich et al., J. Biomol. NMR 73:5, 2019).
-    """
+    """Yield the distances and dihedrals of a file: angstrom, degrees. Its further data are skipped."""
+    # Rows of one restraint are alternatives, whose distance is (sum r^-6)^(-1/6). A ``weight`` multiplies the
+    # stiffness of :class:`Restraint`. Formats: NEF 1.1 (Gutmanas et al., Nat. Struct. Mol. Biol. 22:433,
+    # 2015), NMR-STAR 3 (Ulrich et al., J. Biomol. NMR 73:5, 2019).
     import gemmi
 
     # CIF, unlike STAR, has no plain words that begin with $.
@@ -65,7 +63,6 @@ def restraints_of_star(text: str, file: str) -> Iterator[Restraint]:
 
 
 def _rows(frame: Any, category: str) -> Iterator[Row]:
-    """Rows of a table of a saveframe."""
     import gemmi
 
     table = frame.find_mmcif_category(category)

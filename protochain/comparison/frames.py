@@ -8,7 +8,7 @@ from MDAnalysis.analysis.base import AnalysisBase
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
-from protochain.energies.energy_cache import cached_energy
+from protochain.energies.requested import cached_energy
 from protochain.minimisers import minimise, recipe_of
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.start import Start

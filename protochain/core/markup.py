@@ -21,8 +21,12 @@ def abridge(places: Sequence[str], shown: int = 6) -> str:
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:
-    """Return a small HTML table of names and values, escaped."""
+    """Return a small HTML table of names and values, escaped: floats of four digits, a dash for None."""
+    texts = {
+        name: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else str(value)
+        for name, value in rows.items()
+    }
     cells = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()
+        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in texts.items()
     )
     return f"<table><caption>{escape(title)}</caption>{cells}</table>"

@@ -51,23 +51,7 @@ class CalculatorEnergy(CustomEnergy):
 
     The interaction of the region with the rest, and the solvent, are terms of the force field (mechanical
     embedding, as ``createMixedSystem`` of OpenMM-ML). The region is all ligands, or, without ligands, all
-    atoms.
-
-    Parameters
-    ----------
-    build : callable
-        :func:`protochain.energy`.
-    structure : Structure
-        Structure.
-    calculator : str
-        Name of ``CALCULATORS``.
-    **settings
-        Further arguments of ``build``.
-
-    Raises
-    ------
-    ProtochainError
-        If the calculator is unknown or not installed, or does not compute this region.
+    atoms. ``build`` is :func:`protochain.energy`, and ``settings`` are its further arguments.
     """
 
     def __init__(
@@ -79,7 +63,8 @@ class CalculatorEnergy(CustomEnergy):
         whole = build(structure, **settings)
         system = without_inside(whole.system, self.region)
         self.rest = build(structure, **(settings | {"system": system}))
-        charge = round(_charge(whole.system, self.region))
+        (nonbonded,) = (f for f in whole.system.getForces() if isinstance(f, openmm.NonbondedForce))
+        charge = round(sum(nonbonded.getParticleParameters(int(k))[0]._value for k in self.region))
         if charge and chosen.is_neutral:
             raise ProtochainError(
                 f"{calculator} computes neutral molecules, but this one has the charge {charge:+d}; "
@@ -186,14 +171,7 @@ def _zero(value: Any) -> Any:
     return value if isinstance(value, int) else 0.0 * value
 
 
-def _charge(system: openmm.System, atoms: Integers) -> float:
-    """Sum of the charges of atoms, e."""
-    (force,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
-    return float(sum(force.getParticleParameters(int(k))[0]._value for k in atoms))
-
-
 def _with_forces(forces: Floats, atoms: Integers, pull: Floats) -> Floats:
-    """Forces (na, 3) with more on some atoms."""
     out = np.array(forces)
     out[atoms] += pull
     return out

@@ -148,8 +148,7 @@ def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
             f"simulation: its {len(x)} atoms are not the {structure.n_atoms} of the prepared structure; "
             "give one of a whole protein without explicit water, made from structure.topology"
         )
-    n_bare = _count_bare_constraints(simulation.system)
-    if n_bare:
+    if n_bare := _count_bare_constraints(simulation.system):
         raise ProtochainError(
             f"simulation: its System constrains {n_bare} bonds that have no force, and would break; "
             "create it with constraints=None or flexibleConstraints=True"

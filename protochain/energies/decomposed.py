@@ -1,9 +1,7 @@
 """Energy by term, by residue and by pair of residues.
 
-Bonds and pairs of atoms are split equally between their two atoms, torsions between their two middle atoms.
-An angle belongs to its middle atom, an improper to the atom bonded to the other three, a torsion map to
-C-alpha. Self energies of generalised Born and surface terms belong to their atom. The energy of a pair of
-residues sums the terms split between them. A residue's share is half of its pairs and all terms within it.
+The energy of a pair of residues sums the terms split between them. A residue's share is half of its pairs and
+all terms within it.
 """
 
 import re
@@ -37,17 +35,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TERMS = (
-    "bonds",
-    "angles",
-    "torsions",
-    "impropers",
-    "cmap",
-    "lennard_jones",
-    "coulomb",
-    "generalised_born",
-    "surface",
-    "ties",
-)
+    "bonds", "angles", "torsions", "impropers", "cmap", "lennard_jones", "coulomb", "generalised_born",
+    "surface", "ties",
+)  # fmt: skip
 """Terms of the energy. ``ties`` are springs of bonds to hetero molecules."""
 BY = ("term", "residue", "pair")
 _NONBONDED = slice(5, 8)
@@ -179,10 +169,8 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
 
 
 def residues_of(structure: Structure, part: str, argument: str) -> NDArray[np.bool_]:
-    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, for a named argument.
-
-    Ends with insertion codes, as ``H:111A-112``, select the residues between them in the order of the file.
-    """
+    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, for a named argument."""
+    # Ends with insertion codes, as ``H:111A-112``, select the residues between them in the order of the file.
     place = re.fullmatch(r"(\w+)(?::(-?\d+)([A-Za-z]?)(?:-(-?\d+)([A-Za-z]?))?)?", part)
     chains = [*dict.fromkeys(structure.residue_chain.tolist())]
     if place is None or place[1] not in chains:
@@ -226,9 +214,8 @@ def _interface(
 ) -> "pd.DataFrame":
     import pandas as pd
 
-    rows = np.array(
-        [shares.sum(axis=1) for shares in interaction(structure, energy, structure.positions, *parts)]
-    )
+    shares = interaction(structure, energy, structure.positions, *parts)
+    rows = np.array([share.sum(axis=1) for share in shares])
     table = pd.DataFrame([*rows, rows.sum(axis=0)], ["interaction", "desolvation", "sum"], TERMS)
     return _with_total(table)
 

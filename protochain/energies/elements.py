@@ -47,10 +47,8 @@ _IMIDAZOLE = ("CG", "ND1", "CD2", "CE1", "NE2")  # Atoms over which the charge o
 
 @cache
 def _universal() -> dict[str, tuple[float, float]]:
-    """Distance of the minimum (angstrom) and well depth (kcal/mol) of each element.
-
-    Universal force field, table 1 of Rappe, Casewit, Colwell, Goddard, Skiff, JACS 114:10024 (1992).
-    """
+    """Distance of the minimum (angstrom) and well depth (kcal/mol) of each element."""
+    # Universal force field, table 1 of Rappe, Casewit, Colwell, Goddard, Skiff, JACS 114:10024 (1992).
     with (Path(__file__).parent / "data" / "uff.csv").open(newline="") as file:
         rows = list(csv.reader(file))[1:]
     return {element: (float(minimum), float(depth)) for element, minimum, depth in rows}
@@ -156,8 +154,7 @@ def _match_residues(
 
 def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None:
     """Refuse a moving molecule without parameters, because it would fall apart."""
-    free = {*structure.atom_residue[structure.mobile].tolist()} & {*unknown}
-    if free:
+    if free := {*structure.atom_residue[structure.mobile].tolist()} & {*unknown}:
         raise ForceFieldError(
             f"{structure.describe_residue(min(free))} moves and has no parameters here; give the force field "
             "with which the structure was loaded, or load it without"
@@ -166,8 +163,7 @@ def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None
 
 def _refuse_without_glycam(structure: Structure, force_field: app.ForceField) -> None:
     """Refuse moving glycans if the force field is not compatible with GLYCAM."""
-    missing = [r for r, code in structure.glycans.items() if code not in force_field._templates]
-    if missing:
+    if missing := [r for r, code in structure.glycans.items() if code not in force_field._templates]:
         raise ForceFieldError(
             f"{structure.describe_residue(missing[0])} moves with GLYCAM-06j, which goes with {HAS_GLYCAM} "
             "only; load the structure with this force field, so that its glycans stay in place"
@@ -390,11 +386,9 @@ def _excess(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> f
     kind = next(
         (name.partition("/")[0].removeprefix(PHOSPHATE_END).rstrip("35N") for name in core if "/" in name), ""
     )
-    bonds = {
-        tuple(a.name for a in sorted(bond, key=lambda a: a.residue is not residue))
-        for bond in residue.external_bonds()
-    }
-    end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in bonds, ("O3'", "P") in bonds), "")
+    bonds = [sorted(bond, key=lambda a: a.residue is not residue) for bond in residue.external_bonds()]
+    junctions = {(inner.name, outer.name) for inner, outer in bonds} & {*_ALONG}
+    end = {("O3'", "P"): "5", ("P", "O3'"): "3"}[junctions.pop()] if len(junctions) == 1 else ""
     template = force_field._templates.get(kind + end) if kind and end else None
     charge = sum(a.parameters["charge"] for a in template.atoms) if template else 0.0
     return float(charge - round(charge))
@@ -453,7 +447,6 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
-    """Return the first force of a kind, added if necessary."""
     for force in system.getForces():
         if isinstance(force, kind):
             return force
@@ -462,10 +455,8 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
 
 
 def _linked_atoms(structure: Structure) -> dict[int, set[int]]:
-    """Atoms by residue of the protein that have a bond in place of a hydrogen.
-
-    The bond is to a hetero atom. In histidines without protons the atom is NE2, whose bond is to a metal.
-    """
+    """Atoms by residue of the protein that have a bond in place of a hydrogen."""
+    # The bond is to a hetero atom. In histidines without protons the atom is NE2, whose bond is to a metal.
     atoms: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
@@ -606,13 +597,12 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
     new = old.copy()
     for metal, donor_atoms in donors.items():
         if old[metal] > 0.0:
-            share = min(
-                _DONATED * max(old[metal] / 2.0, 1.0), (1.0 - _RETAINED) * old[metal] / len(donor_atoms)
-            )
+            most = (1.0 - _RETAINED) * old[metal] / len(donor_atoms)
+            share = min(_DONATED * max(old[metal] / 2.0, 1.0), most)
             new[metal] -= share * len(donor_atoms)
             new[donor_atoms] += share
-    changed_atoms = {*np.flatnonzero(new != old).tolist()}
-    for i in sorted(changed_atoms):
+    changed_atoms = dict.fromkeys(np.flatnonzero(new != old).tolist())
+    for i in changed_atoms:
         _, sigma, epsilon = nonbonded.getParticleParameters(i)
         nonbonded.setParticleParameters(i, new[i], sigma, epsilon)
     for k in range(nonbonded.getNumExceptions()):
@@ -622,7 +612,7 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
             nonbonded.setExceptionParameters(k, i, j, scaled, sigma, epsilon)
     for force in system.getForces():
         if isinstance(force, openmm.CustomGBForce):
-            for i in sorted(changed_atoms):
+            for i in changed_atoms:
                 force.setParticleParameters(i, [new[i], *force.getParticleParameters(i)[1:]])
 
 
@@ -631,9 +621,6 @@ def _springs(ties: Iterable[Tie]) -> list[openmm.Force]:
     bonds, angles = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
     for tie in ties:
         (bonds.addBond if len(tie.atoms) == 2 else angles.addAngle)(*tie.atoms, tie.rest, tie.stiffness)
-    forces: list[openmm.Force] = []
-    for force, count in ((bonds, bonds.getNumBonds()), (angles, angles.getNumAngles())):
-        force.setName(TIES)
-        if count:
-            forces.append(force)
-    return forces
+    bonds.setName(TIES)
+    angles.setName(TIES)
+    return [force for force, n in ((bonds, bonds.getNumBonds()), (angles, angles.getNumAngles())) if n]

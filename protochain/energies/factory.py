@@ -6,28 +6,14 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import openmm
 from openmm import app, unit
 from openmm.app.internal.customgbforces import GBSAOBC2Force
 
-from protochain.core import defaults
-from protochain.core.checks import (
-    accuracy_of,
-    at_least,
-    check_arguments,
-    concentration,
-    cutoff_of,
-    file_name,
-    flag,
-    force_field_parts,
-    instance,
-    one_of,
-    optional,
-    text,
-)
+from protochain.core import checks, defaults
 from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.settings import inheriting
 from protochain.core.storage import regular
@@ -43,20 +29,10 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_expressions, check_passive
 from protochain.structure.convert import as_structure
+from protochain.structure.molecule import templates
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind
 from protochain.structure.molecule.residues import NUCLEOTIDES, PHOSPHORYLATED
-from protochain.structure.molecule.templates import (
-    CONVERT,
-    HAS_GLYCAM,
-    NO_OPENMM,
-    NO_XML,
-    PHOSPHATES,
-    SMIRNOFF,
-    phosphate_ends,
-    residue_names,
-    strand_junctions,
-)
 from protochain.structure.preparation.glycans import parameters
 
 DATA = Path(app.__file__).parent / "data"
@@ -71,11 +47,9 @@ FORCE_FIELDS = {
     "charmm36": "charmm36.xml",
 }
 """Short names of force fields bundled with OpenMM. Any other name is a file."""
-
 SOLVENTS = ("vacuum", "hct", "obc1", "obc2", "gbn", "gbn2")
 _DIELECTRIC, _TEMPERATURE = 78.5, 298.15
 """Dielectric constant of water and temperature (K), as OpenMM assumes for the screening by salt."""
-
 _HETERO_FILES = {
     "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
     "amber19": ("amber19/tip3p.xml", "amber19/DNA.OL21.xml", "amber14/RNA.OL3.xml"),
@@ -98,6 +72,10 @@ _FUNCTION = {"forcefield", "solvent", "salt", "terms", "cutoff", "system", "calc
 """Arguments that define the energy function. The others define how it is computed."""
 _MEASURED_UP_TO = 100_000
 """Largest number of atoms for which one sum over all pairs (half a minute) measures the error of a cutoff."""
+_BONDED = (
+    openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce,
+    openmm.CustomTorsionForce, openmm.CMAPTorsionForce,
+)  # fmt: skip
 _TABULATED = "LennardJones"  # Name of OpenMM's force with a table of pairs.
 
 
@@ -124,11 +102,12 @@ def _inherit_energy(build: Callable[..., Energy], source: Any, arguments: dict[s
     return build(source, **(settings | arguments))
 
 
-@check_arguments(
-    forcefield=file_name, solvent=text, salt=concentration, engine=one_of(ENGINES),
-    device=one_of(DEVICES), cutoff=cutoff_of, accuracy=accuracy_of,
-    threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS), calculator=optional(text),
-    system=instance(openmm.System, "ForceField.createSystem"),
+@checks.check_arguments(
+    forcefield=checks.file_name, solvent=checks.text, salt=checks.concentration,
+    engine=checks.one_of(ENGINES), device=checks.one_of(DEVICES), cutoff=checks.cutoff_of,
+    accuracy=checks.accuracy_of, threads=checks.optional(checks.at_least(1)), trust_forcefield=checks.flag,
+    terms=checks.one_of(TERMS), calculator=checks.optional(checks.text),
+    system=checks.instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 @inheriting(_inherit_energy)
 @part("energy")
@@ -241,9 +220,9 @@ def energy(
         )
     is_free = accuracy == "auto" and cutoff == "auto"
     # No tree sums pairs that salt screens.
-    rule = _rule_of("openmm" if salt else engine, solvent, structure.n_atoms) if is_free else _EXACT
-    accuracy = rule.accuracy if accuracy == "auto" else accuracy
-    cutoff = rule.cutoff if cutoff == "auto" else cutoff
+    sums = _sums_of("openmm" if salt else engine, solvent, structure.n_atoms) if is_free else ("exact", None)
+    accuracy = sums[0] if accuracy == "auto" else accuracy
+    cutoff = sums[1] if cutoff == "auto" else cutoff
     device = "cpu" if engine == "native" else choose_device(device, structure.n_atoms)
 
     is_plain = system is None and cutoff is None and not salt and terms == "all"
@@ -261,7 +240,8 @@ def energy(
         if solvent == "obc2" and not salt:
             note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"
         if terms == "nonbonded":
-            _remove_torsions(built)
+            for index in reversed(_torsion_forces(built)):
+                built.removeForce(index)
         label = forcefield + NONBONDED if terms == "nonbonded" else forcefield
         name = solvent_label(solvent, salt)
         return OpenMMEnergy(built, "CPU", threads, label, name, note, structure.fingerprint, settings)
@@ -271,10 +251,10 @@ def energy(
     if device != "cpu":
         return DeviceEnergy(potential, reference, device, None if accuracy == "exact" else float(accuracy))
     # If the native engine does not support a force, OpenMM computes the energy by its own rule.
-    fallback = _rule_of("openmm", solvent, structure.n_atoms)
-    if is_free and system is None and not isinstance(potential, NativeEnergy) and fallback.cutoff != cutoff:
-        settings |= {"device": "cpu", "cutoff": fallback.cutoff}
-        return choose_engine(engine, by_openmm(fallback.cutoff))
+    _, fallback = _sums_of("openmm", solvent, structure.n_atoms)
+    if is_free and system is None and not isinstance(potential, NativeEnergy) and fallback != cutoff:
+        settings |= {"device": "cpu", "cutoff": fallback}
+        return choose_engine(engine, by_openmm(fallback))
     if isinstance(potential, NativeEnergy) and accuracy != "exact":
         return potential.to_accuracy(float(accuracy), structure.positions)
     is_measured = system is None and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO
@@ -283,34 +263,14 @@ def energy(
     return potential
 
 
-class _Rule(NamedTuple):
-    """How an engine sums the pairs of a structure of some size."""
-
-    engine: str  # ``native``, or ``any``.
-    in_solvent: bool
-    fewest: Callable[[], int]  # Smallest number of atoms.
-    accuracy: float | Literal["exact"]
-    cutoff: float | None  # nm.
-
-
-_RULES = (
-    _Rule("native", False, lambda: defaults.TREE_FROM_IN_VACUUM, defaults.TREE_ACCURACY, None),
-    _Rule("native", True, lambda: defaults.TREE_FROM, defaults.TREE_ACCURACY, None),
-    _Rule("any", True, lambda: defaults.FULL_UP_TO + 1, "exact", defaults.LONG_CUTOFF),
-)
-"""Rules if neither an accuracy nor a cutoff is given. The first that applies is used."""
-_EXACT = _Rule("any", True, lambda: 0, "exact", None)
-"""All pairs one by one, if no rule applies. ``auto`` uses the native engine if it supports every force, or an
-OpenMM device from ``defaults.DEVICE_FROM`` atoms (:func:`protochain.energies.on_device.choose_device`)."""
-
-
-def _rule_of(engine: str, solvent: str, n_atoms: int) -> _Rule:
-    """Return the rule for an engine, a solvent and a number of atoms."""
-    for rule in _RULES:
-        is_of_engine = rule.engine == "any" or engine != "openmm"
-        if is_of_engine and rule.in_solvent == (solvent != "vacuum") and n_atoms >= rule.fewest():
-            return rule
-    return _EXACT
+def _sums_of(engine: str, solvent: str, n_atoms: int) -> tuple[float | Literal["exact"], float | None]:
+    """Accuracy, and cutoff in nm, if the caller gives neither: of a tree, or else all pairs one by one."""
+    # ``auto`` uses the native engine if it supports every force, or an OpenMM device from
+    # ``defaults.DEVICE_FROM`` atoms (:func:`protochain.energies.on_device.choose_device`).
+    in_solvent = solvent != "vacuum"
+    if engine != "openmm" and n_atoms >= (defaults.TREE_FROM if in_solvent else defaults.TREE_FROM_IN_VACUUM):
+        return defaults.TREE_ACCURACY, None
+    return "exact", defaults.LONG_CUTOFF if in_solvent and n_atoms > defaults.FULL_UP_TO else None
 
 
 def build_system(
@@ -387,7 +347,7 @@ def build_system(
 
 def _files(structure: Structure, forcefield: str, trust_forcefield: bool) -> tuple[list[str | bytes], bool]:
     """Files of the parameters of a structure, without its solvent, and whether all are OpenMM's."""
-    parts = force_field_parts(forcefield)
+    parts = checks.force_field_parts(forcefield)
     bundled = [_bundled_file(part) for part in parts]
     files = checked_files(parts, trust_forcefield)
     files += _phosphate_files(structure, parts)
@@ -395,12 +355,14 @@ def _files(structure: Structure, forcefield: str, trust_forcefield: bool) -> tup
         hetero_files = [str(DATA / name) for part in parts for name in _HETERO_FILES.get(part, ())]
         files += [name for name in dict.fromkeys(hetero_files) if Path(name).exists()]
         has_nucleotides = any("/DNA." in name for name in hetero_files)
-        files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
+        if has_nucleotides and (structure.atom_name == "OP3").any():
+            files.append(templates.phosphate_ends())
         strands = [
             name for name in files if isinstance(name, str) and Path(name).name[:4] in ("DNA.", "RNA.")
         ]
-        files += [strand_junctions(*strands)] if len(strands) == 2 and _has_junctions(structure) else []
-    if structure.glycans and HAS_GLYCAM in parts:
+        if len(strands) == 2 and _has_junctions(structure):
+            files.append(templates.strand_junctions(*strands))
+    if structure.glycans and templates.HAS_GLYCAM in parts:
         files.append(parameters(frozenset(structure.glycans.values())))
     return files, None not in bundled
 
@@ -409,7 +371,7 @@ def _terms_of(structure: Structure, forcefield: str, solvent: str) -> Terms | No
     """Terms for the native engine, or None if they require a System, or it has to report an error."""
     if solvent not in ("obc2", "vacuum") or structure.kept.any() or structure.fragments:
         return None
-    if None in map(_bundled_file, force_field_parts(forcefield)):
+    if None in map(_bundled_file, checks.force_field_parts(forcefield)):
         return None
     files, _ = _files(structure, forcefield, False)
     try:
@@ -420,11 +382,9 @@ def _terms_of(structure: Structure, forcefield: str, solvent: str) -> Terms | No
 
 
 def debye_kappa(salt: float) -> float:
-    """Screening parameter in 1/nm of a monovalent salt in mol/l, as OpenMM computes it for generalised Born.
-
-    The factor 0.73 accounts for the size of the ions: Srinivasan, Trevathan, Beroza, Case, Theor. Chem. Acc.
-    101:426 (1999).
-    """
+    """Screening parameter in 1/nm of a monovalent salt in mol/l, as OpenMM's for generalised Born."""
+    # The factor 0.73 is for the size of the ions: Srinivasan, Trevathan, Beroza, Case, Theor. Chem. Acc.
+    # 101:426 (1999).
     return float(50.33355 * np.sqrt(salt / _DIELECTRIC / _TEMPERATURE) * 7.3)
 
 
@@ -447,12 +407,11 @@ def _phosphorylated_names(structure: Structure) -> set[str]:
 
 def _phosphate_files(structure: Structure, parts: Sequence[str]) -> list[str]:
     """Files with the parameters of phosphorylated residues that the user's files do not define."""
-    names = _phosphorylated_names(structure)
-    if not names:
+    if not (names := _phosphorylated_names(structure)):
         return []
-    if names <= residue_names([Path(part) for part in parts if _bundled_file(part) is None]):
+    if names <= templates.residue_names([Path(part) for part in parts if _bundled_file(part) is None]):
         return []
-    return [str(PHOSPHATES[part]) for part in parts if part in PHOSPHATES]
+    return [str(templates.PHOSPHATES[part]) for part in parts if part in templates.PHOSPHATES]
 
 
 def _number_types(system: openmm.System) -> None:
@@ -511,14 +470,28 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
         names = ", ".join(FORCE_FIELDS)
         raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {names}") from None
     except ElementTree.ParseError as error:
-        raise ForceFieldError(f"{path}: {NO_XML} ({error}); {CONVERT}") from None
-    if root.tag == SMIRNOFF:
-        raise ForceFieldError(f"{path}: {NO_OPENMM}; {CONVERT}")
+        raise ForceFieldError(f"{path}: {templates.NO_XML} ({error}); {templates.CONVERT}") from None
+    if root.tag == templates.SMIRNOFF:
+        raise ForceFieldError(f"{path}: {templates.NO_OPENMM}; {templates.CONVERT}")
     check_expressions(path, root)
     if trusted:
         return str(path.resolve())
     check_passive(path, root)
     return content
+
+
+def bonded_part(energy: Energy) -> Energy | None:
+    """Bonds, angles and dihedrals of an energy without other terms: its molecules stay intact."""
+    # None if the terms are unknown, as for a callable.
+    bonded: Energy | None = getattr(energy, "bonded_terms", None)
+    if bonded is not None or energy.system is None:
+        return bonded
+    system = copy.deepcopy(energy.system)
+    for index in reversed(range(system.getNumForces())):
+        if not isinstance(system.getForce(index), _BONDED):
+            system.removeForce(index)
+    by_openmm = OpenMMEnergy(system, "CPU", energy.threads, energy.forcefield, "vacuum", "bonded terms alone")
+    return choose_engine("auto", by_openmm)
 
 
 def lacks_dihedrals(energy: Energy) -> bool:
@@ -535,17 +508,10 @@ def _torsion_forces(system: openmm.System) -> list[int]:
     return [i for i, force in enumerate(system.getForces()) if "Torsion" in type(force).__name__]
 
 
-def _remove_torsions(system: openmm.System) -> None:
-    for index in reversed(_torsion_forces(system)):
-        system.removeForce(index)
-
-
 def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None) -> None:
-    """Add OBC2 as GBSAOBCForce, with the charges of the System and the radii of ``implicit/obc2.xml``.
-
-    That file builds a CustomGBForce by a script, in a third of the time of a System. Energies are equal to
-    1e-8, as a test asserts. OpenMM's CPU platform is several times faster with GBSAOBCForce.
-    """
+    """Add OBC2 as GBSAOBCForce, with the charges of the System and the radii of ``implicit/obc2.xml``."""
+    # That file builds a CustomGBForce by a script, in a third of the time of a System. Energies are equal to
+    # 1e-8, as a test asserts. OpenMM's CPU platform is several times faster with GBSAOBCForce.
     nonbonded = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
     if len(nonbonded) != 1:
         raise ValueError("OBC2 needs a NonbondedForce with the charges")
@@ -558,7 +524,6 @@ def _add_obc2(system: openmm.System, structure: Structure, cutoff: float | None)
 
 
 def _obc2(cutoff: float | None) -> openmm.GBSAOBCForce:
-    """OBC2 as GBSAOBCForce without particles."""
     force = openmm.GBSAOBCForce()
     force.setSolventDielectric(_DIELECTRIC)
     force.setSoluteDielectric(1.0)

@@ -107,11 +107,10 @@ def prepare_energy(energy: Energy, x: Floats) -> Energy:
 
 
 class DeviceEnergy(OpenMMEnergy):
-    """Energy of an OpenMM System on a device, in mixed precision, and on the processor after it fails.
+    """Energy of an OpenMM System on a device, in mixed precision, and on the processor after it fails."""
 
-    processor: The same energy on the processor. It judges ends and continues beyond single precision.
-    accuracy: Accuracy of the processor's far pairs after the device fails.
-    """
+    # processor: The same energy on the processor. It judges ends and continues beyond single precision.
+    # accuracy: Accuracy of the processor's far pairs after the device fails.
 
     def __init__(
         self, processor: Energy, by_openmm: OpenMMEnergy, device: str, accuracy: float | None = None
@@ -235,10 +234,8 @@ class DeviceEnergy(OpenMMEnergy):
     def descend(
         self, x: Floats, moving: NDArray[np.bool_], springs: Springs | None, tolerance: float, n: int
     ) -> Floats | None:
-        """Positions after at most n iterations of OpenMM's minimiser from x (na, 3), nm, or None if it fails.
-
-        The positions stay on the device. Tolerance is in kJ/mol/nm, RMS over the moving components.
-        """
+        """Positions after up to n iterations of OpenMM's minimiser from x (na, 3), nm, None if it fails."""
+        # The positions stay on the device. Tolerance is in kJ/mol/nm, RMS over the moving components.
         x = floats(x, (len(moving), 3), "x", "nanometer")
         try:
             context = self._context_of(moving)

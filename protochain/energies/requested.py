@@ -1,5 +1,7 @@
 """Energy that a caller requests: an Energy, a result, the name of a calculator, or a callable."""
 
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 from protochain.core.checks import refuse_class
@@ -54,3 +56,21 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **arguments:
     custom = CustomEnergy(given)
     check_forces(given, structure.positions, f"energy {custom.name}")
     return custom
+
+
+@dataclass(frozen=True)
+class _Atoms:
+    """Key of a cached energy: equal for structures with the same atoms and bonds, as decoys and frames."""
+
+    fingerprint: str
+    structure: Structure = field(compare=False)
+
+
+def cached_energy(structure: Structure, **settings: Any) -> Energy:
+    """Build an energy, or reuse one built in this process for the same atoms with the same settings."""
+    return _built(_Atoms(structure.fingerprint, structure), tuple(sorted(settings.items())))
+
+
+@lru_cache(maxsize=8)
+def _built(atoms: _Atoms, settings: tuple[tuple[str, Any], ...]) -> Energy:
+    return energy(atoms.structure, **dict(settings))

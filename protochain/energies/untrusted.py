@@ -32,7 +32,6 @@ _LEPTON = ("energy", "expression")
 _LEPTON_TEXT = ("ComputedValue", "EnergyTerm")
 _FREE = ("name", *_LEPTON, *_NOTES)
 """Attributes without restrictions. Names are only compared: openmmforcefields names residues by SMILES."""
-
 _BOOLEAN = re.compile(r"\s*(True|False|[01])\s*")
 _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
 """Numbers and names. Python cannot call anything without brackets."""

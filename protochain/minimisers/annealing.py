@@ -32,10 +32,9 @@ class AnnealingState:
 
 @dataclass(frozen=True)
 class Annealing:
-    """Langevin dynamics of rigid bodies while the temperature falls linearly to zero: at 0 K damped dynamics.
+    """Langevin dynamics of rigid bodies as the temperature falls linearly to zero: at 0 K damped dynamics."""
 
-    Source: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983).
-    """
+    # Source: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983).
 
     temperature: float = 0.0  # K: Initial; friction 1/ps, of the thermostat.
     n_steps: int = 1000

@@ -24,7 +24,6 @@ from protochain.mechanics.multibody.algebra import (
 
 SWEEPS = 4
 """Sweeps over all bonds. With one, a run needs a tenth more evaluations. With eight, it needs as many."""
-
 _SHORT, _THIN = 1e-4, 0.05
 """Shortest bond, nm, and smallest sine of a bond angle, for which an atom has a frame."""
 

@@ -66,10 +66,9 @@ def _to_plain(value: Any, arrays: dict[str, np.ndarray], names: dict[int, Any]) 
 
 
 class _Reader:
-    """Inverse of :func:`_to_plain`. It accepts only classes and shapes that a stage allows.
+    """Inverse of :func:`_to_plain`. It accepts only classes and shapes that a stage allows."""
 
-    Metrics are recomputed at their original points.
-    """
+    # Metrics are recomputed at their original points.
 
     def __init__(self, arrays: Mapping[str, np.ndarray], stage: Stage, x: Floats) -> None:
         self.arrays, self.stage = arrays, stage

@@ -57,7 +57,6 @@ def factorise(place: Integers, atom_blocks: Floats, pairs: Integers, pair_blocks
 
 @kernel
 def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Integers, Integers, Integers]:
-    """Pattern of the factor."""
     # Start and rows of each column; and of each row start, columns and the blocks' places in them.
     n = len(place)
     # Neighbours before each row.

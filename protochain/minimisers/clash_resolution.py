@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from protochain.chains.contacts import near_pairs, overlaps
 from protochain.core.arrays import Floats, read_only
-from protochain.energies.bonded import bonded_part
+from protochain.energies.factory import bonded_part
 from protochain.energies.protocol import Energy
 from protochain.minimisers import restraints
 from protochain.minimisers.descent import Descent
@@ -40,7 +40,6 @@ instead, and if they could not. At 1e4, torsions still fling a chain with strain
 
 BACKBONE_TETHER = 2000.0
 """kJ/mol/nm^2 on each heavy backbone atom while overlaps are separated, so that side chains yield."""
-
 LARGEST_MOVE = 0.6  # nm, largest move of an atom during separation: the reach of a long side chain.
 SPRING = 4184.0
 """kJ/mol/nm^2 on heavy atoms in the first stage with the force field. It is 10 kcal/mol/angstrom^2, as in
@@ -48,7 +47,6 @@ AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."
 
 SPRINGS_ON_BACKBONE = (1000.0, 100.0)
 """kJ/mol/nm^2, in this order, on heavy backbone atoms only: side chains relax before the backbone."""
-
 SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)  # kJ/mol/nm^2, in this order, because torsions have long levers.
 _OVERLAP_FORCE = 20.0
 _HEAVY_FORCE = 10.0
@@ -81,12 +79,9 @@ def torsion_clash_stages(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
     """Stages that resolve clashes in torsions, then weaken springs in the force field step by step."""
-    structure = space.chain.structure
-    plan: list[Stage] = []
-    if overlap:
-        plan.append(_soft_stage(space, Sum([SoftRepulsion(structure), *_leashes(structure)]), 1.0))
     stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_TORSION_TORQUE, tolerance), restraint)
-    return plan + [_with_springs(stage, strength) for strength in SPRINGS_IN_TORSIONS]
+    held = [_with_springs(stage, strength) for strength in SPRINGS_IN_TORSIONS]
+    return [_soft_stage(space, _soft_terms(space.chain.structure), 1.0), *held] if overlap else held
 
 
 def all_atom_clash_stages(
@@ -102,11 +97,11 @@ def all_atom_clash_stages(
     plan: list[Stage] = []
     threaded = bool(threaded_rings(structure))
     if overlap or threaded:
-        bonded = bonded_part(energy)
-        soft_terms: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
-        soft = _soft_stage(torsions, Sum(soft_terms), 1.0)
-        if bonded is not None:
-            soft = _soft_stage(space, Sum([bonded, *soft_terms]), _OVERLAP_FORCE)
+        bonded, soft_terms = bonded_part(energy), _soft_terms(structure)
+        if bonded is None:
+            soft = _soft_stage(torsions, soft_terms, 1.0)
+        else:
+            soft = _soft_stage(space, [bonded, *soft_terms], _OVERLAP_FORCE)
         plan += [*unthread_stages(soft, _where_atoms_overlap), soft] if threaded else [soft]
     stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_HEAVY_FORCE, tolerance), restraint)
     settled = replace(stage, tolerance=max(_SIDE_CHAIN_FORCE, tolerance))
@@ -119,8 +114,7 @@ def unthreading_stages(space: Cartesian, energy: Energy) -> list[Stage]:
     bonded = bonded_part(energy)
     if bonded is None:
         return []
-    soft_energy = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
-    soft = _soft_stage(space, soft_energy, _OVERLAP_FORCE)
+    soft = _soft_stage(space, [bonded, *_soft_terms(space.structure)], _OVERLAP_FORCE)
     return [*unthread_stages(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
 
 
@@ -139,40 +133,38 @@ def soft_tethers(structure: Structure) -> Floats:
     return read_only(np.where(backbone_atoms(structure), BACKBONE_TETHER, restraints.SOFT_TETHER))
 
 
-def _leashes(structure: Structure) -> list[Force]:
+def _soft_terms(structure: Structure) -> list[Force]:
     x = structure.positions
-    chirality = ChiralityRestraint.preserving(structure)
-    return [Tethers(x, soft_tethers(structure)), Bound(x, LARGEST_MOVE), chirality]
+    leashes: list[Force] = [Tethers(x, soft_tethers(structure)), Bound(x, LARGEST_MOVE)]
+    return [SoftRepulsion(structure), *leashes, ChiralityRestraint.preserving(structure)]
 
 
-def _soft_stage(space: Torsions | Cartesian, soft_energy: Force, tolerance: float) -> Stage:
-    structure = _structure(space)
-    method = Descent(LBFGS(TetheredModel(soft_tethers(structure), True)), StrongWolfe())
+def _soft_stage(space: Torsions | Cartesian, terms: list[Force], tolerance: float) -> Stage:
+    method = Descent(LBFGS(TetheredModel(soft_tethers(_structure(space)), True)), StrongWolfe())
     return Stage(
-        space, method, soft_energy, tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
+        space, method, Sum(terms), tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
     )
 
 
 def _with_springs(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
     """Stage with springs to its initial positions, on all heavy atoms or on some."""
-    atoms = _structure(stage.space).atom_element != "H" if atoms is None else atoms
-    chirality = ChiralityRestraint.preserving(_structure(stage.space))
+    structure = _structure(stage.space)
+    atoms = structure.atom_element != "H" if atoms is None else atoms
+    chirality = ChiralityRestraint.preserving(structure)
     fit = partial(_fit_springs, read_only(np.where(atoms, strength, 0.0)), chirality)
     return replace(stage, fit=fit, name="held by springs")
 
 
 def _fit_springs(weight: Floats, chirality: ChiralityRestraint, stage: Stage, x: Floats) -> Stage:
-    springs = Tethers(x, weight)
-    parts: list[Force] = [springs, chirality, *([] if stage.restraint is None else [stage.restraint])]
+    parts: list[Force] = [Tethers(x, weight), chirality, *([stage.restraint] if stage.restraint else [])]
     assert isinstance(stage.space, Torsions | Cartesian)
     if stage.space.terms is not None:
-        direction = LBFGS(TetheredModel(springs.weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)
+        direction = LBFGS(TetheredModel(weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)
     else:
         direction = LBFGS(
-            TetheredModel(springs.weight, refresh_every=20 if isinstance(stage.space, Torsions) else 40)
+            TetheredModel(weight, refresh_every=20 if isinstance(stage.space, Torsions) else 40)
         )
-    method = Descent(direction, StrongWolfe())
-    return replace(stage, method=method, restraint=Sum(parts))
+    return replace(stage, method=Descent(direction, StrongWolfe()), restraint=Sum(parts))
 
 
 def _structure(space: Space) -> Structure:

@@ -114,21 +114,14 @@ def _read(energy: Any) -> Terms | None:
 @lru_cache(maxsize=4)
 def _near(terms: Terms) -> NearTerms:
     kinds, exceptions = terms.bonded, terms.nonbonded.exceptions
-    atoms, waves, first = _dihedrals(kinds["torsions"], kinds["impropers"])
     wells = exceptions.parameters[:, 1] > 0.0
     return NearTerms(
-        terms.n_atoms,
-        _concatenate(kinds["bonds"], kinds["ties"]),
+        terms.n_atoms, _concatenate(kinds["bonds"], kinds["ties"]),
         _concatenate(kinds["angles"], kinds["tie angles"]),
-        atoms,
-        waves,
-        first,
-        Bonded(exceptions.atoms[wells], exceptions.parameters[wells, :2]),
-        terms.nonbonded.lj_type,
-        terms.nonbonded.a12,
-        terms.nonbonded.b6,
-        partners(exceptions.atoms, terms.n_atoms),
-    )
+        *_dihedrals(kinds["torsions"], kinds["impropers"]),
+        Bonded(exceptions.atoms[wells], exceptions.parameters[wells, :2]), terms.nonbonded.lj_type,
+        terms.nonbonded.a12, terms.nonbonded.b6, partners(exceptions.atoms, terms.n_atoms),
+    )  # fmt: skip
 
 
 def _concatenate(*groups: Bonded) -> Bonded:
@@ -217,7 +210,7 @@ def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Spring
 
 def near_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], near: Springs | None = None,
-    tether: Floats | None = None,
+    tether: Floats | None = None, coupled_from: float = COUPLED, floor: float = FLOOR,
 ) -> Callable[[Floats], Floats]:  # fmt: skip
     """Solver for the model of the Hessian in Cartesian coordinates."""
     # x (na, 3) nm, moving (na,) bool, tether (na,).
@@ -225,14 +218,7 @@ def near_solver(
         wells = free_wells(terms, x, moving)
     else:
         wells = near.pairs, near.stiffness, np.zeros(len(near.pairs))
-    return _solver(curvature(terms, x, wells), moving, FLOOR if tether is None else (FLOOR + tether)[:, None])
-
-
-def soft_solver(
-    terms: NearTerms, x: Floats, moving: NDArray[np.bool_], floor: float
-) -> Callable[[Floats], Floats]:
-    """Solver like :func:`near_solver`, with all pairs coupled and another floor, kJ/mol/nm^2."""
-    return _solver(curvature(terms, x, free_wells(terms, x, moving), 0.0), moving, floor)
+    return _solver(curvature(terms, x, wells, coupled_from), moving, floor, tether)
 
 
 def springs_solver(
@@ -245,12 +231,13 @@ def springs_solver(
     for springs, slots in ((bonded, np.arange(len(pair_blocks))), (near, np.full(len(near.pairs), -1))):
         across = np.zeros(len(springs.pairs))
         kernels.add_springs(x, springs.pairs, springs.stiffness, across, slots, atom_blocks, pair_blocks)
-    added = floor if tether is None else (floor + tether)[:, None]
-    return _solver(Curvature(atom_blocks, bonded.pairs, pair_blocks), moving, added)
+    return _solver(Curvature(atom_blocks, bonded.pairs, pair_blocks), moving, floor, tether)
 
 
-def _solver(model: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
-    model.atom_blocks[:, ::4] += added
+def _solver(
+    model: Curvature, moving: NDArray[np.bool_], floor: float, tether: Floats | None
+) -> Callable[[Floats], Floats]:
+    model.atom_blocks[:, ::4] += floor if tether is None else (floor + tether)[:, None]
     # Pairs of atoms that both move, as indices among the moving atoms.
     is_coupled = moving[model.pairs].all(axis=1)
     pairs = (np.cumsum(moving) - 1)[model.pairs[is_coupled]]

@@ -10,7 +10,6 @@ from protochain.minimisers.spaces import Cartesian
 AT_A_TIME = 100  # Iterations of a call. Each call restarts its L-BFGS, also after a failed line search.
 _RESOLVED = 1e-6
 """Share of the energy. A step that gains less is the last, as single precision resolves no more."""
-
 _STRICTER = 0.99
 """Share of the tolerance, so that the end also meets it in double precision. Forces are accurate to 1e-4."""
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -33,16 +33,6 @@ MOST_ITERATIONS = 5
 _ROUND_OFF = 1e-14
 
 
-class Ellipsoid(Protocol):
-    """A positive semidefinite matrix Q that measures steps: d^T Q d is a mean square movement."""
-
-    def product(self, step: Floats) -> Floats:
-        """Q d for a step (n_v,)."""
-
-    def shifted_solver(self, multiplier: float) -> Solve:
-        """Solver for I + multiplier Q."""
-
-
 @dataclass(frozen=True)
 class MeanTurn:
     """Mean square of the turns, in rad^2: the identity over the number of freedoms."""
@@ -60,11 +50,10 @@ class MeanTurn:
 
 @dataclass(frozen=True, eq=False)
 class MeanMovement:
-    """Weighted mean square movement of atoms, in nm^2: the mass matrix if weights are masses.
+    """Weighted mean square movement of atoms, in nm^2: the mass matrix if weights are masses."""
 
-    Products and solutions are O(n) sweeps. I + multiplier Q is the mass matrix of the weights with an
-    armature of 1/multiplier at every hinge, times the multiplier.
-    """
+    # Products and solutions are O(n) sweeps. I + multiplier Q is the mass matrix of the weights with an
+    # armature of 1/multiplier at every hinge, times the multiplier.
 
     tree: Tree  # The chain's tree with weights, of sum 1, in place of the masses.
     pose: Pose  # Pose of the chain.
@@ -92,6 +81,10 @@ class MeanMovement:
         return solve
 
 
+Ellipsoid = MeanTurn | MeanMovement
+"""A positive semidefinite matrix Q that measures steps: d^T Q d is a mean square movement."""
+
+
 def ellipsoid_at(name: str, space: Space, at: Evaluation) -> Ellipsoid:
     """Ellipsoid of a name of ``METRIC_NAMES`` at a point of a space of hinges."""
     if not isinstance(space, Torsions) or not isinstance(at.pose, Pose):
@@ -99,7 +92,13 @@ def ellipsoid_at(name: str, space: Space, at: Evaluation) -> Ellipsoid:
     chain = space.chain
     if name == "turns":
         return MeanTurn(chain.n_v)
-    tree = _tree_of_contacts(chain, at.x) if name == "contacts" else _tree_of_weights(chain, name)
+    if name == "contacts":
+        # Each C-alpha weighs one more than the number of its contacts.
+        alphas = chain.structure.alpha_carbons
+        counts = np.bincount(alpha_contacts(chain.structure, at.x).ravel(), minlength=chain.n_atoms)
+        tree = _tree_of_alphas(chain, 1.0 + counts[alphas].astype(float))
+    else:
+        tree = _tree_of_weights(chain, name)
     return MeanMovement(tree, at.pose, space.scale)
 
 
@@ -111,13 +110,6 @@ def _tree_of_weights(chain: Chain, name: str) -> Tree:
         total = np.sum(structure.atom_mass[~structure.obstacle])
         return replace(tree, mass=tree.mass / total, inertia=tree.inertia / total)
     return _tree_of_alphas(chain, np.ones(len(chain.structure.alpha_carbons)))
-
-
-def _tree_of_contacts(chain: Chain, x: Floats) -> Tree:
-    """Tree whose C-alphas weigh one more than the number of their contacts at positions x (na, 3)."""
-    structure = chain.structure
-    counts = np.bincount(alpha_contacts(structure, x).ravel(), minlength=structure.n_atoms)
-    return _tree_of_alphas(chain, 1.0 + counts[structure.alpha_carbons].astype(float))
 
 
 def _tree_of_alphas(chain: Chain, weights: Floats) -> Tree:
@@ -135,26 +127,10 @@ def _tree_of_alphas(chain: Chain, weights: Floats) -> Tree:
 
 
 def nearest_within(step: Floats, ellipsoid: Ellipsoid, bound: float) -> tuple[Floats, float]:
-    """Nearest vector to a step within an ellipsoid: argmin |d - h|^2 subject to d^T Q d <= bound^2.
-
-    The solution is d = (I + lambda Q)^-1 h, with lambda from the secular equation |d|_Q = bound (Moré,
-    Sorensen, SIAM J. Sci. Stat. Comput. 4:553, 1983). Newton's method in the logarithms of both solves it,
-    as |d|_Q falls from a constant to a multiple of 1/lambda.
-
-    Parameters
-    ----------
-    step : (n_v,) float
-        Vector h.
-    ellipsoid : Ellipsoid
-        Matrix Q.
-    bound : float
-        Largest length in the metric Q.
-
-    Returns
-    -------
-    (n_v,) float and float
-        Nearest vector, and the multiplier lambda: 0 if the step is within the bound.
-    """
+    """Nearest vector d to a step h (n_v,) with d^T Q d <= bound^2, and its multiplier, 0 within the bound."""
+    # The solution is d = (I + lambda Q)^-1 h, with lambda from the secular equation |d|_Q = bound (Moré,
+    # Sorensen, SIAM J. Sci. Stat. Comput. 4:553, 1983). Newton's method in the logarithms of both solves it,
+    # as |d|_Q falls from a constant to a multiple of 1/lambda.
     product = ellipsoid.product(step)
     length = math.sqrt(max(float(step @ product), 0.0))
     if length <= bound:

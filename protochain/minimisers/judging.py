@@ -21,10 +21,9 @@ NAMES = {
 
 
 class CachedEnergy:
-    """An energy with its judge, which caches its values at two points that runs evaluate again.
+    """An energy with its judge, which caches its values at two points that runs evaluate again."""
 
-    A cached value is used only with the same neighbour lists, so that results are equal bit for bit.
-    """
+    # A cached value is used only with the same neighbour lists, so that results are equal bit for bit.
 
     def __init__(self, energy: Energy, judge: str = defaults.JUDGE) -> None:
         self.energy = energy

@@ -15,7 +15,6 @@ from protochain.minimisers.problem import Evaluation, Problem
 
 _CURVATURE = 1e-10
 """Relative. Pairs with less curvature are skipped: they would make the estimate of the Hessian singular."""
-
 NEAR_MEMORY = 5
 """Pairs stored with a metric of the force field's near terms, to correct for its missing terms. With 100
 pairs, mostly from earlier metrics and points, runs need half as many evaluations again."""

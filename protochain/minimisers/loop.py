@@ -26,14 +26,6 @@ class Stop(Enum):
     )
 
 
-class State(Protocol):
-    """A method's state, of which the loop reads only the current point."""
-
-    @property
-    def at(self) -> Evaluation:
-        """The current point."""
-
-
 class Method(Protocol):
     """A minimiser: a :class:`protochain.minimisers.Descent`, or any object with these two methods.
 
@@ -51,7 +43,7 @@ class Method(Protocol):
 class Snapshot:
     """State of a run between two iterations, complete enough to continue it."""
 
-    state: State
+    state: Any  # Of the method. The loop reads only ``at``, its current point.
     start: Evaluation  # First point of the run.
     tally: Tally
     n_iterations: int
@@ -145,5 +137,5 @@ class Unstarted:
     at: Evaluation
 
 
-def _snapshot(problem: Problem, state: State, start: Evaluation, n_iterations: int) -> Snapshot:
+def _snapshot(problem: Problem, state: Any, start: Evaluation, n_iterations: int) -> Snapshot:
     return Snapshot(state, start, problem.tally, n_iterations, problem.lists_at)

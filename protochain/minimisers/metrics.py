@@ -69,11 +69,10 @@ class Stiffness:
 
 @dataclass(frozen=True)
 class Damped(Stiffness):
-    """The model of all atoms, damped in proportion to the RMS force: far from a minimum, steps are short.
+    """The model of all atoms, damped in proportion to the RMS force: far from a minimum, steps are short."""
 
-    A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004). Soft
-    freedoms do not run ahead of stiff ones, so that a start leads to a nearby minimum.
-    """
+    # A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004). Soft
+    # freedoms do not run ahead of stiff ones, so that a start leads to a nearby minimum.
 
     damping: float = 300.0  # 1/nm: Added to the diagonal, times the RMS force.
 

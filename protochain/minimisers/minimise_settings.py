@@ -12,7 +12,6 @@ from protochain.core.settings import Settings, setting
 
 JUDGES = (defaults.JUDGE, "reference")
 """Judges: our kernels if they support the energy, or always OpenMM's Reference platform."""
-
 TOLERANCE = optional(in_range(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm. Above this, any start has converged."""
 

@@ -203,7 +203,6 @@ def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
 
 
 def _run_stages(start: Start, run: Minimisation, record: Recorder) -> Outcome:
-    """Run the stages of a recipe."""
     chain, hold = start.chain, run.start_hold
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0

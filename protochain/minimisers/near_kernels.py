@@ -12,7 +12,6 @@ from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kern
 
 STIFFEST = 1e6
 """kJ/mol/nm^2, limit for a pair: twice the stiffest bond. Overlapping atoms would hide others by rounding."""
-
 _TINY = 1e-6  # nm^2, smallest square of a length, or area, in a denominator.
 _THIN = 1e-5
 """nm^4, smallest square of an area that turns a dihedral, 1/50 of the value for two bonds. Three atoms in

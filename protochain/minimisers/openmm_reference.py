@@ -19,7 +19,6 @@ from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Outcome
 
 Record = Callable[[Floats, float, int, Floats], None]
 """Called with positions, energy, evaluations so far and forces after each iteration."""
-
 _SETTLED = 100.0
 """kJ/mol/nm. RMS force below which OpenMM's dynamics start, as remaining strain would become heat."""
 _MD_STEPS, _MD_FRAME = 1000, 20
@@ -30,11 +29,9 @@ def minimise_by_openmm(
     recipe: Recipe, chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, seed: int,
     record: Record,
 ) -> Outcome:  # fmt: skip
-    """Minimise by OpenMM's own minimiser, after its dynamics if the recipe draws random numbers.
-
-    It continues on the Reference platform if single precision fails. The result is the structure of lowest
-    energy among those minimised before the dynamics and at the end.
-    """
+    """Minimise by OpenMM's own minimiser, after its dynamics if the recipe draws random numbers."""
+    # It continues on the Reference platform if single precision fails. The result is the structure of lowest
+    # energy among those minimised before the dynamics and at the end.
     x = chain.structure.positions
     n_iterations, n_evaluations, stop, relaxed = 0, 1, Stop.BUDGET, x
     value, forces = energy(x)
@@ -128,7 +125,17 @@ def local_energy_minimizer(
     """Run ``openmm.LocalEnergyMinimizer``, recorded and with a budget: x (na, 3) nm, tolerance kJ/mol/nm."""
     with held_interrupts() as interrupts:
         reporter = _Reporter(record, max_evaluations, interrupts)
-        _minimise(energy, platform, x, tolerance, reporter)
+        counter = openmm.PythonForce(reporter.count)
+        counter.setParticles([0])
+        counted = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
+        counted.system.addForce(counter)
+        context = counted.make_context(counted.system)
+        context.setPositions(np.asarray(x))
+        try:
+            openmm.LocalEnergyMinimizer.minimize(context, tolerance, 0, reporter)
+        except (openmm.OpenMMException, _StopMinimisation):
+            if reporter.stop is Stop.NO_DESCENT:
+                reporter.stop = Stop.NON_FINITE
     best = x if reporter.best_x is None else reporter.best_x
     return reporter.stop, best, reporter.n_iterations, reporter.n_evaluations
 
@@ -136,11 +143,9 @@ def local_energy_minimizer(
 def langevin_dynamics(
     energy: Energy, platform: str, x: Floats, max_evaluations: int, record: Record, seed: int
 ) -> tuple[Stop, Floats, int, int]:
-    """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
-
-    Arguments and results are as in :func:`local_energy_minimizer`, but it ends at its last positions. Each
-    step is one iteration and one evaluation of the forces.
-    """
+    """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths."""
+    # Arguments and results are as in :func:`local_energy_minimizer`, but it ends at its last positions. Each
+    # step is one iteration and one evaluation of the forces.
     simulated = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
     constrain_hydrogens(simulated.system)
     integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
@@ -168,17 +173,3 @@ def langevin_dynamics(
         except KeyboardInterrupt:
             return Stop.INTERRUPTED, x, steps_done, steps_done
     return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, steps_done, steps_done
-
-
-def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:
-    counted = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
-    counter = openmm.PythonForce(reporter.count)
-    counter.setParticles([0])
-    counted.system.addForce(counter)
-    context = counted.make_context(counted.system)
-    context.setPositions(np.asarray(x))
-    try:
-        openmm.LocalEnergyMinimizer.minimize(context, tolerance, 0, reporter)
-    except (openmm.OpenMMException, _StopMinimisation):
-        if reporter.stop is Stop.NO_DESCENT:
-            reporter.stop = Stop.NON_FINITE

@@ -136,11 +136,9 @@ class Recipe:
         return any(isinstance(part, Annealing | Mass) for part in (*methods, *metrics))
 
     def repeats_exactly(self, energy: Energy) -> bool:
-        """Whether runs from one start are equal bit for bit.
-
-        OpenMM's CPU platform, which also runs OpenMM's methods, has no fixed order of sums on several
-        threads, nor do its other devices.
-        """
+        """Whether runs from one start are equal bit for bit."""
+        # OpenMM's CPU platform, which also runs OpenMM's methods, has no fixed order of sums on several
+        # threads, nor do its other devices.
         sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and not self.by_openmm)
         return not self.draws_random and sums_in_order and energy.device == "cpu"
 
@@ -163,11 +161,8 @@ class Recipe:
         seed: int,
         max_torque: float = 0.0,
     ) -> list[Stage]:
-        """Stages of this recipe.
-
-        ``reduced`` is the energy without terms that are constant in the chain. ``max_torque`` is the largest
-        torque at the start.
-        """
+        """Stages of this recipe."""
+        # ``reduced``: Without terms that are constant in the chain. ``max_torque``: Largest at the start.
         terms = near_terms(energy)
         torsions, atoms = spaces(chain, terms)
         restraints = hold.restraints(chain.structure)
@@ -208,11 +203,9 @@ _ALL_ATOMS = Run(
     _LBFGS, in_torsions=False, by_springs=Descent(LBFGS(Stiffness(refresh_every=40)), StrongWolfe())
 )
 """Springs are renewed less often: bonds and angles, most of them, change little, and the matrix is costly."""
-
 _NEAR = replace(_ALL_ATOMS, method=replace(_LBFGS, direction=LBFGS(Damped(NEAR_REFRESH), NEAR_MEMORY)))
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move. The remaining strain is in bonds and angles."""
-
 _TYPICAL = {
     "lbfgs": 50, "newton": 400, "cartesian": 70, "hybrid": 80, "openmm": 1500, "openmm-md": 3000,
 }  # fmt: skip
@@ -234,7 +227,6 @@ ANGLE = 0.0005
 """rad. Turn of the hinge of largest torque in a step of ``kcm``, and in the first of adaptive variants."""
 ENTROPY_RATE = 0.5
 """nm/rad. Bound of ``kcm-entropy``. At a start, C-alphas move by 2 to 3 nm per radian (RMS) in ``kcm``."""
-
 _TABLE = (
     _in_torsions("kcm", Descent(KCM(), Fixed(ANGLE))),
     _in_torsions("kcm-2norm", Descent(KCM(norm=by_length), Fixed(0.002))),
@@ -325,7 +317,6 @@ def kcm(
 
 
 def _above_zero(value: Any, name: str) -> float:
-    """Return a number, or raise a ProtochainError if it is not above 0."""
     if not number(value, name) > 0.0:
         raise refusal(name, f"{value:g}", "give a number above 0")
     return float(value)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -127,25 +127,6 @@ class SoftRepulsion:
 
 
 @dataclass(frozen=True)
-class UserRestraint:
-    """Restraint of a caller."""
-
-    function: Force  # Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
-
-    def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy and forces. An error about other return values names the callable."""
-        return call_user(self.function, x, self._name)
-
-    def check(self, x: Floats) -> None:
-        """Raise an error if the forces do not match the energy."""
-        check_forces(self.function, x, self._name)
-
-    @property
-    def _name(self) -> str:
-        return f"restraint {name_of(self.function)}"
-
-
-@dataclass(frozen=True)
 class Sum:
     """Sum of several energies."""
 
@@ -208,17 +189,17 @@ class Hold:
         """Energies of restraints, one for each strength, or None for no restraint."""
         always: list[Force] = []
         if self.term is not None:
-            always.append(UserRestraint(self.term))
-            UserRestraint(self.term).check(structure.positions)
+            name = f"restraint {name_of(self.term)}"
+            always.append(partial(call_user, self.term, name=name))
+            check_forces(self.term, structure.positions, name)
         if self.listed:
             always.append(Restraints.of(structure, self.listed))
         if self.max_rmsd < np.inf:
             always.append(Leash(structure, self.max_rmsd))
         sums: list[Force | None] = []
         for strength in self.strengths or (0.0,):
-            parts = list(always)
-            if strength > 0.0:
-                parts.insert(0, Tethers.of_heavy_atoms(structure, strength))
+            tethers: list[Force] = [Tethers.of_heavy_atoms(structure, strength)] if strength > 0.0 else []
+            parts = [*tethers, *always]
             sums.append(Sum(parts) if parts else None)
         return sums
 

@@ -20,14 +20,12 @@ from protochain.minimisers.stages import Stage
 
 TURN = 1e-4
 """rad, change of the largest freedom for one-sided differences of torques that build the subspace."""
-
 CENTRAL = 1e-3
 """rad, change of the largest freedom for the central difference that measures an uncertain curvature. It may
 be longer, as its error is of second order."""
 
 SHARE = 0.002
 """The search ends if the last vector lowered the estimate by less than this share, and the next one would."""
-
 STARTS, WEIGHT = 3, 0.3
 """Initial vectors of the search, and weight of the residual of the second lowest estimate.
 
@@ -38,7 +36,6 @@ proteins. On others they also end twice too high."""
 
 LEAST = 0.1
 """kJ/mol/nm^2. If all atoms move, smaller ones count as 0: 100 atoms gain < 0.05 kJ/mol in 0.1 nm."""
-
 SIGN, SOFT = 1e-3, 2.0
 """kJ/mol/rad^2. In torsions: error of a measured eigenvalue near 0, and lower limit for a clear minimum.
 
@@ -46,7 +43,6 @@ Dense Hessians of ends near a shoulder differ by up to 5.4e-4. Minima of peptide
 
 ALL_ATOMS_UP_TO = 1.0
 """kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: no minima yet."""
-
 MOST = 100
 """Products of a search. A search that needs more reports an upper bound of the eigenvalue.
 
@@ -55,7 +51,6 @@ ended at a positive bound of a negative eigenvalue."""
 
 FIRST, SHORTEST, LONGEST = 0.1, 1e-3, 1.6
 """rad, of the largest freedom: first, shortest and longest turn off a saddle point."""
-
 ROUNDS = 4  # Saddle points that a run may leave. Then it ends at one.
 
 

@@ -42,7 +42,6 @@ N_FRAMES = 50  # Number of stored positions of a run, so that memory does not gr
 
 SIZES = ("rms_torque_kj_mol_rad", "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm")
 """Torques if hinges turn, or forces if all atoms move, restraints included. The others are missing."""
-
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", *SIZES, "ca_rmsd_angstrom")
 
 
@@ -87,14 +86,12 @@ class Recorder:
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Report the stage to the watcher's method ``at_stage``, if it has one, recorded or not."""
-        callback = getattr(self.watch, "at_stage", None)
-        if callback:
+        if callback := getattr(self.watch, "at_stage", None):
             callback(name, evaluations)
 
     def warn(self, line: str) -> None:
         """Report an urgent message to the watcher's method ``at_warning``, or issue a warning."""
-        callback = getattr(self.watch, "at_warning", None)
-        if callback:
+        if callback := getattr(self.watch, "at_warning", None):
             callback(line)
         else:
             warnings.warn(line, StrayWarning, stacklevel=2)

@@ -24,7 +24,6 @@ from protochain.structure.molecule.model import Structure
 
 ROOT_LEVER = 0.1
 """nm. Translation of a free root that counts like one radian, to make forces and torques comparable."""
-
 SOFT_TORSIONS, SOFT_DECAY = 1.0, 8.0
 """kJ/mol/rad^2, floor of the stiffness of contacts that ranks soft turns, and its decay rate per contact
 distance. Minimisers have a higher floor and a steeper decay, to avoid long steps in soft directions. In the
@@ -233,10 +232,6 @@ class Cartesian:
         """Convert vectors (3 na,) from the frames of the atoms at x (na, 3), nm, to world axes."""
         return outward(np.array(x), self._legs, vectors.reshape(-1, 3)).ravel()
 
-    @cached_property
-    def _springs(self) -> spring_model.Springs:
-        return spring_model.covalent(self.structure)
-
     def start(self, x: Floats) -> Floats:
         """Coordinates at x."""
         return x.flatten()
@@ -281,12 +276,11 @@ class Cartesian:
         """
         if self.terms is None:
             near = near_by or spring_model.contacts
-            make = partial(
-                curvature.springs_solver, self.structure, self._springs, at.x, self.moving, near, tether
-            )
+            springs = spring_model.covalent(self.structure)
+            make = partial(curvature.springs_solver, self.structure, springs, at.x, self.moving, near, tether)
         else:
-            springs = None if near_by is None else near_by(self.structure, at.x, 3)
-            make = partial(curvature.near_solver, self.terms, at.x, self.moving, springs, tether)
+            near_springs = None if near_by is None else near_by(self.structure, at.x, 3)
+            make = partial(curvature.near_solver, self.terms, at.x, self.moving, near_springs, tether)
         solve = make() if len(self.moving) < _LARGE else run_interruptible(make, is_deferred=True)
         return self._in_frames(at.x, solve)
 
@@ -297,11 +291,10 @@ class Cartesian:
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the same model with all its pairs coupled, and a tiny floor."""
         if self.terms is None:
-            solve = curvature.springs_solver(
-                self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
-            )
+            springs = spring_model.covalent(self.structure)
+            solve = curvature.springs_solver(self.structure, springs, at.x, self.moving, floor=SOFT_ATOMS)
         else:
-            solve = curvature.soft_solver(self.terms, at.x, self.moving, SOFT_ATOMS)
+            solve = curvature.near_solver(self.terms, at.x, self.moving, coupled_from=0.0, floor=SOFT_ATOMS)
         return self._in_frames(at.x, solve)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:

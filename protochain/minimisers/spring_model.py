@@ -17,7 +17,7 @@ import numpy as np
 
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import bonded_pairs, near_pairs
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, distance
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.molecule.model import Structure, per_structure
 
@@ -32,7 +32,6 @@ DECAY = 14.0
 REACH = 1.3  # Longest spring, in contact distances. Its stiffness is 2 % of the stiffness at contact.
 TORSION_FLOOR = 150.0
 """kJ/mol/rad^2, added for every freedom, for dihedrals and long-range forces. 60 to 400 perform alike."""
-
 BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
 """kJ/mol/nm^2, of springs between atoms one, two and three bonds apart. Bonds of ff14SB have 1.5e5 to 5e5.
 Angles have 300 to 700 kJ/mol/rad^2, at a lever of about 0.1 nm."""
@@ -51,8 +50,8 @@ class Springs:
 def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) -> Springs:
     """Springs between nearby atoms that are more than this many bonds apart."""
     pairs, touch = near_pairs(structure, x, REACH, bonds)
-    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-decay * (distance / touch - 1.0)))
+    share = distance(*x[pairs.T]) / touch
+    return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-decay * (share - 1.0)))
 
 
 @per_structure
@@ -67,7 +66,6 @@ def covalent(structure: Structure) -> Springs:
 
 Near = Callable[[Structure, Floats, int], Springs]
 """Springs between near atoms more than a number of bonds apart: :func:`contacts`, or softer ones."""
-
 Gradients = tuple[Integers, Floats, Floats]
 """Atoms (n, k) of angles or dihedrals, gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""
 

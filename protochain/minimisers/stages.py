@@ -13,15 +13,7 @@ from protochain.minimisers.descent import Descent
 from protochain.minimisers.device_descent import DeviceDescent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, Unstarted, run
-from protochain.minimisers.problem import (
-    BudgetSpentError,
-    Evaluation,
-    Force,
-    Placement,
-    Problem,
-    Space,
-    Tally,
-)
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, Space, Tally
 from protochain.minimisers.restraints import SOFT_TETHER, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.steps import StrongWolfe
@@ -65,8 +57,8 @@ class Stage:
     answer: Answer = lowest  # Selects the result, from which the next stage starts.
     after: tuple[Stop, ...] = ()  # Endings of the previous stage after which this one runs; empty: all.
     name: str = ""  # Name for the watcher.
-    # Whether to run it from the end of the previous stage. Otherwise it is skipped.
-    ready: "Callable[[Stage, Placement], bool] | None" = None
+    # Whether to run it from the placement at the end of the previous stage. Otherwise it is skipped.
+    ready: "Callable[[Stage, Any], bool] | None" = None
     # Fits the stage to the positions (na, 3) at which the previous one ended.
     fit: "Callable[[Stage, Floats], Stage] | None" = None
     # Whether it only examines the end of the previous stage. If it finds nothing, the previous ending stays.
@@ -79,9 +71,8 @@ def overlap_stage(space: Torsions) -> Stage:
     """Stage that separates overlapping atoms by soft repulsion in torsions, without the force field."""
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
-    soft_energy = Sum([SoftRepulsion(structure), tethers])
-    descent = Descent(LBFGS(), StrongWolfe())
-    return Stage(space, descent, soft_energy, 1.0, recorded=False, name="resolving clashes")
+    soft, descent = Sum([SoftRepulsion(structure), tethers]), Descent(LBFGS(), StrongWolfe())
+    return Stage(space, descent, soft, 1.0, recorded=False, name="resolving clashes")
 
 
 def with_reference(stage: Stage) -> list[Stage]:

@@ -91,15 +91,12 @@ class Starts:
     def summary(self) -> dict[str, float]:
         """Quantiles of the final energies, and the number within 1 kJ/mol of the lowest."""
         energies = np.array([s.end.energy for s in self.solutions])
-        low, first, middle, third, high = np.quantile(energies, [0.0, 0.25, 0.5, 0.75, 1.0])
+        names = ("lowest", "first_quartile", "median", "third_quartile", "highest")
+        quantiles = np.quantile(energies, [0.0, 0.25, 0.5, 0.75, 1.0]).tolist()
         return {
             "n_starts": len(energies),
-            "energy_lowest_kj_mol": float(low),
-            "energy_first_quartile_kj_mol": float(first),
-            "energy_median_kj_mol": float(middle),
-            "energy_third_quartile_kj_mol": float(third),
-            "energy_highest_kj_mol": float(high),
-            "n_within_1_kj_mol_of_lowest": int(np.sum(energies < low + 1.0)),
+            **{f"energy_{name}_kj_mol": value for name, value in zip(names, quantiles, strict=True)},
+            "n_within_1_kj_mol_of_lowest": int(np.sum(energies < quantiles[0] + 1.0)),
         }
 
     def overall(self) -> dict[str, Any]:
@@ -206,12 +203,8 @@ def explore(
 def refuse_restraints(restraints: Any, max_rmsd: float) -> None:
     """Raise an error for restraints to the start, if there are many starts."""
     if Hold.of(restraints, max_rmsd) != Hold():
-        raise ProtochainError(
-            Argument("restraints"),
-            " and ",
-            Argument("max_rmsd"),
-            " refer to each start's own structure; use one start",
-        )
+        remedy = " refer to each start's own structure; use one start"
+        raise ProtochainError(Argument("restraints"), " and ", Argument("max_rmsd"), remedy)
 
 
 def perturb_dihedrals(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
@@ -246,7 +239,6 @@ def _move_chain(chain: Chain, q: np.ndarray) -> Chain:
 
 
 def _superpose_on_start(solution: Solution, chain: Chain) -> Solution:
-    """Superpose a solution on the unperturbed structure."""
     if solution.frame.start is chain.structure:
         return solution
     frame = replace(solution.frame, start=chain.structure)

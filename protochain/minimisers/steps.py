@@ -14,7 +14,6 @@ SMALLEST = 1e-8  # rad or nm. The gain of a shorter step would disappear in the 
 
 _DECREASE, _FLATTER = 1e-4, 0.9
 """Constants of the strong Wolfe conditions for quasi-Newton steps, as in Nocedal and Wright."""
-
 _MOST = 10  # Largest number of doublings, and then of points between two.
 
 _Along = Callable[[float], float]

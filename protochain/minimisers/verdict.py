@@ -27,7 +27,6 @@ from protochain.validation.strain import bond_lines, wrong_bonds
 
 _REMEDY = "remove such hydrogens from the file to place them again, or relax the structure"
 """Remedy for bonds of wrong lengths."""
-
 Concerns = Callable[[Integers], NDArray[np.bool_]]  # Rows of atoms (n, k) that count, as (n,) bool.
 _METAL_CHANGE = 0.05  # Angstrom, largest change of a metal bond that is not reported.
 

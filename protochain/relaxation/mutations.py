@@ -20,8 +20,8 @@ from protochain.core.errors import Argument, ProtochainError, StructureError
 from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
-from protochain.energies.energy_cache import cached_energy
 from protochain.energies.factory import has_energy
+from protochain.energies.requested import cached_energy
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.relax_settings import RelaxSettings, split
 from protochain.relaxation.relax_structure import relax_structure

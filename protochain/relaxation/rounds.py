@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
 from protochain.core.settings import document_fields
 from protochain.energies import Energy
-from protochain.energies.bonded import bonded_part
+from protochain.energies.factory import bonded_part
 from protochain.minimisers.clash_resolution import TetheredModel, unthreading_stages
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent

@@ -32,9 +32,8 @@ def hydrogen_bonds(structure: Structure) -> Integers:
     if not len(donor):
         return np.empty((0, 3), dtype=np.int64)
     pairs = cKDTree(x[hydrogen]).sparse_distance_matrix(cKDTree(x[acceptor]), _REACH, output_type="ndarray")
-    near = np.column_stack([donor[pairs["i"]], hydrogen[pairs["i"]], acceptor[pairs["j"]]])[
-        pairs["v"] < _REACH
-    ]
+    pairs = pairs[pairs["v"] < _REACH]
+    near = np.column_stack([donor[pairs["i"]], hydrogen[pairs["i"]], acceptor[pairs["j"]]])
     near = near[near[:, 0] != near[:, 2]]
     bonds = near[angle(*x[near.T]) > _ANGLE]
     return np.asarray(bonds[np.lexsort((bonds[:, 2], bonds[:, 1]))])

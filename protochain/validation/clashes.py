@@ -18,7 +18,6 @@ from protochain.validation.rings import rings
 OVERLAP = 0.4  # Angstrom of overlap that make a clash.
 _BOND, _CHARGED_BOND = 0.6, 0.8
 """Angstrom by which a hydrogen bond may overlap more, the second between opposite charges."""
-
 _RADIUS = {
     "H": 1.22, "C": 1.70, "N": 1.55, "O": 1.40, "S": 1.80, "P": 1.80, "SE": 1.90, "F": 1.30, "CL": 1.77,
     "BR": 1.95, "I": 2.10, "LI": 0.60, "NA": 0.95, "K": 1.33, "RB": 1.48, "CS": 1.69, "MG": 0.65, "CA": 0.99,
@@ -109,10 +108,8 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
 
 
 def clash_discs(structure: Structure) -> tuple[Integers, Floats]:
-    """Pairs (n, 2) of atoms that clash, and the discs (n, 7) where their spheres cross.
-
-    A disc has its centre, its normal and its radius, angstrom.
-    """
+    """Pairs (n, 2) of atoms that clash, and the discs (n, 7) where their spheres cross."""
+    # A disc has its centre, its normal and its radius, angstrom.
     pairs = clashes(structure).pairs
     x = _at_clouds(structure, ANGSTROM_PER_NM * structure.positions)[pairs]
     first, second = _kinds(structure).radius[pairs].T

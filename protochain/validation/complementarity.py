@@ -16,7 +16,6 @@ from protochain.validation.dots import Dots, molecular_surface
 
 PROBE, DENSITY, BAND, WEIGHT = 1.7, 15.0, 1.5, 0.5
 """angstrom, 1/angstrom^2, angstrom, 1/angstrom^2: the probe, dots to an area, the periphery, and w."""
-
 _RADIUS = {
     "C": (1.80, 1.85, 1.90, 1.95), "N": (1.65, 1.65, 1.70, 1.75), "O": (1.60, 1.70, 1.70), "S": (1.90,),
     "P": (1.80,),

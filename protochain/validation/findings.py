@@ -18,12 +18,7 @@ from protochain.structure.molecule.repairs import Kind
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults, fixed_residues
-from protochain.validation.ligands import (
-    LigandFound,
-    describe_double_bonds,
-    inverted_double_bonds,
-    ligand_findings,
-)
+from protochain.validation.ligands import describe_double_bonds, inverted_double_bonds, ligand_findings
 from protochain.validation.nucleic import nucleotides
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
@@ -63,11 +58,8 @@ class Findings(Value):
     strain = _measure(strain)
     nucleotides = _measure(nucleotides)
     double_bonds = _measure(inverted_double_bonds)
-
-    @cached_property
-    def ligands(self) -> tuple[LigandFound, ...]:
-        """Findings of each ligand, without PoseBusters' tests."""
-        return ligand_findings(self.structure, self.x, self.clashes)
+    # Findings of each ligand, without PoseBusters' tests.
+    ligands = cached_property(lambda self: ligand_findings(self.structure, self.x, self.clashes))
 
     def measures(self) -> dict[str, Any]:
         """Values of all ``MEASURES``, None if there is nothing to measure."""
@@ -98,22 +90,23 @@ class Findings(Value):
 
     def spread(self, residue: Integers, values: Any) -> Any:
         """(nr,): values of some residues, empty text or NaN for the others."""
-        of_all = np.full(self.structure.n_residues, np.nan if values.dtype.kind == "f" else "", object)
+        is_float = values.dtype.kind == "f"
+        of_all = np.full(self.structure.n_residues, np.nan if is_float else "", float if is_float else object)
         of_all[residue] = values
-        return of_all.astype(float) if values.dtype.kind == "f" else of_all
+        return of_all
 
     def listing(self) -> Iterator[tuple[int, str]]:
         """Residues and their faults, in words, by kind of finding."""
         s, of = self.structure, self.structure.atom_residue
-        kinds = {"bond": self.violations.bonds, "angle": self.violations.angles_ca_c_n,
-                 "clash": self.violations.clashes, "distance": self.violations.within}  # fmt: skip
-        kinds["angle"] = np.concatenate([kinds["angle"], self.violations.angles_c_n_ca])
+        faults = self.violations
+        kinds = {"bond": faults.bonds, "angle": np.vstack([faults.angles_ca_c_n, faults.angles_c_n_ca]),
+                 "clash": faults.clashes, "distance": faults.within}  # fmt: skip
         concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
-        for r in self.violations.residues.tolist():
+        for r in faults.residues.tolist():
             if violated := [name for name in kinds if r in concerned[name]]:
                 yield r, f"violation ({', '.join(violated)})"
         # Bonds outside the protein are listed with the other faults there.
-        covalent = self.violations.covalent[~s.kept[self.violations.covalent].all(axis=1)]
+        covalent = faults.covalent[~s.kept[faults.covalent].all(axis=1)]
         for pair, line in zip(covalent.tolist(), bond_lines(s, self.x, covalent), strict=True):
             yield int(of[pair[0]]), f"violation: {line}"
         # The deepest clash of each pair of residues.
@@ -155,10 +148,8 @@ class Findings(Value):
             for i, j in pairs.tolist():
                 distance = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
                 partner = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
-                yield (
-                    int(of[i]),
-                    f"{s.atom_name[i]} to {s.atom_name[j]}{partner} {fault} ({distance:.2f} angstrom)",
-                )
+                ends = f"{s.atom_name[i]} to {s.atom_name[j]}{partner}"
+                yield int(of[i]), f"{ends} {fault} ({distance:.2f} angstrom)"
 
 
 RESIDUE_COLUMNS: Mapping[str, Callable[[Findings], Any]] = {

@@ -39,12 +39,8 @@ class FixedFaults(NamedTuple):
 
     def summary(self, structure: Structure, x: Floats) -> str:
         """Number of faults, and the first of them. Empty without any."""
-        counts = [
-            plural(len(pairs), noun)
-            for pairs, noun in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
-            if len(pairs)
-        ]
-        if not counts:
+        kinds = ((len(self.bonds), "broken bond"), (len(self.clashes), "overlap"))
+        if not (counts := [plural(*kind) for kind in kinds if kind[0]]):
             return ""
         return f"{' and '.join(counts)} outside the protein: {abridge(self.lines(structure, x))}"
 

@@ -110,7 +110,6 @@ CONFIDENCES: Mapping[str, Score] = MappingProxyType(
     }
 )
 """Columns of predicted models."""
-
 _NEAR = 0.9  # nm from the other side within which the area of an atom may change, and its neighbours matter.
 _PROBE, _POINTS = 0.14, 960  # nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973).
 _ONE_PLACE = 2e-5  # nm apart: mdtraj treats atoms within 1e-5 as one place.
@@ -179,10 +178,7 @@ class Interface(Value):
 
     def _repr_html_(self) -> str:
         words = {**SCORES, **MAKEUP, **CONFIDENCES}
-        rows = {
-            words[key].what: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
-            for key, value in self.scores.items()
-        }
+        rows = {words[key].what: value for key, value in self.scores.items()}
         return facts(f"Interface {self.name} of {self.structure.name}", rows)
 
 
@@ -258,13 +254,9 @@ def as_native(energy: Energy) -> NativeEnergy:
 
 
 def score_sides(
-    structure: Structure,
-    energy: NativeEnergy,
-    first: str,
-    second: str,
-    parts: Sides,
+    structure: Structure, energy: NativeEnergy, first: str, second: str, parts: Sides,
     metrics: Confidence | None = None,
-) -> Interface:
+) -> Interface:  # fmt: skip
     """Score an interface whose sides (nr,) and energy are known, with the confidence of a model."""
     import pandas as pd
 
@@ -345,7 +337,6 @@ def _buried_areas(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Fl
 
 
 def _contact_scores(structure: Structure, touching: Integers) -> _Scored:
-    """Residues in contact."""
     sides_of = [len(np.unique(side)) for side in touching.T]
     scores = {
         "contacts": len(touching), "residues_1": sides_of[0], "residues_2": sides_of[1],
@@ -487,18 +478,15 @@ def _confidences(
     atoms = structure.origin.atoms
     chains = [*dict.fromkeys(atom.split("/", 1)[0] for atom in atoms)]
     values["iptm"] = metrics.mean_iptm(chains, *({*structure.residue_chain[part].tolist()} for part in parts))
-    return values | _of_errors(structure, parts, near, plddt, metrics.pae, metrics.tokens(atoms))
+    return values | _of_errors(structure, parts, near, plddt, metrics, atoms)
 
 
 def _of_errors(
-    structure: Structure,
-    parts: Sides,
-    near: Integers,
-    plddt: Floats,
-    pae: Floats | None,
-    tokens: Mapping[tuple[str, str], int],
-) -> dict[str, float | None]:
+    structure: Structure, parts: Sides, near: Integers, plddt: Floats, metrics: Confidence,
+    atoms: Sequence[str],
+) -> dict[str, float | None]:  # fmt: skip
     """Columns from the predicted errors of amino acids and nucleotides. Other residues have no frame."""
+    pae, tokens = metrics.pae, metrics.tokens(atoms)
     numbers = np.char.add(structure.residue_number, structure.residue_insertion_code).tolist()
     keys = zip(structure.residue_chain.tolist(), numbers, strict=True)
     token = np.array([tokens.get(key, -1) for key in keys], dtype=np.int64)

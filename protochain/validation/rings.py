@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, cross, read_only
+from protochain.core.arrays import Floats, Integers, cross, distance, read_only
 from protochain.core.graph import Neighbours, neighbours
 from protochain.core.settings import document_fields
 from protochain.structure.molecule.model import Structure, per_positions, per_structure
@@ -164,17 +164,12 @@ def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
     if not all_rings:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
     middle = 0.5 * (x[bonds[:, 0]] + x[bonds[:, 1]])
-    is_long = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1) > _LONG
+    is_long = distance(*x[bonds.T]) > _LONG
     short, long = np.flatnonzero(~is_long), np.flatnonzero(is_long)
     corners = [x[list(ring)] for ring in all_rings]
     centre = np.array([points.mean(axis=0) for points in corners])
-    reach = [
-        float(np.sqrt(((points - mean) ** 2).sum(axis=1).max())) + 0.5 * _LONG
-        for points, mean in zip(corners, centre, strict=True)
-    ]
-    nearby: list[list[int]] = [[] for _ in all_rings]
-    if len(short):
-        nearby = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
+    reach = [distance(*ends).max() + 0.5 * _LONG for ends in zip(corners, centre, strict=True)]
+    nearby = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
     fixed = np.asarray(structure.obstacle[bonds].all(axis=1))
     ring_index, near_bonds = [], []
     for ring, (atoms, barred) in enumerate(zip(all_rings, _barred_atoms(structure), strict=True)):

@@ -56,7 +56,7 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     kinds, quadruples = _dihedrals(structure)
     chis = iter(dihedrals(x, quadruples))
     for kind, residues in kinds:
-        names, usual = rotamers_of(kind)
+        names, usual = rotamers()[kind]
         chi = np.fromiter(chis, float, usual.shape[1] * len(residues)).reshape(len(residues), -1)
         chi *= np.where(mirrored[residues], -1.0, 1.0)[:, None]
         period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
@@ -69,20 +69,14 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
 
 
 @cache
-def rotamers_of(residue: str) -> tuple[NDArray[np.str_], Floats]:
-    """Names (n,) of the rotamers of a residue, and their dihedrals (n, n_chi) in degrees."""
-    rows = _library()[residue]
-    return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-
-
-@cache
-def _library() -> dict[str, list[tuple[str, list[float]]]]:
-    """Name and dihedrals of every rotamer, by residue."""
-    rows_of: dict[str, list[tuple[str, list[float]]]] = defaultdict(list)
+def rotamers() -> dict[str, tuple[NDArray[np.str_], Floats]]:
+    """Names (n,) of the rotamers of each residue, and their dihedrals (n, n_chi) in degrees."""
+    names, dihedrals_of = defaultdict[str, list[str]](list), defaultdict[str, list[list[float]]](list)
     with (Path(__file__).parent / "data" / "rotamers.csv").open(newline="", encoding="utf-8") as file:
         for residue, name, _, *chi in list(csv.reader(file))[1:]:
-            rows_of[residue].append((name, [float(angle) for angle in chi if angle]))
-    return rows_of
+            names[residue].append(name)
+            dihedrals_of[residue].append([float(angle) for angle in chi if angle])
+    return {residue: (np.array(names[residue]), np.array(rows)) for residue, rows in dihedrals_of.items()}
 
 
 @per_structure
@@ -92,7 +86,7 @@ def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Intege
     kinds, quadruples = [], [np.zeros((0, 4), dtype=np.int64)]
     for name in sorted(CHI.keys() & set(structure.residue_name[amino.amino].tolist())):
         residues = np.flatnonzero(amino.amino & (structure.residue_name == name))
-        n_chi = rotamers_of(name)[1].shape[1]
+        n_chi = rotamers()[name][1].shape[1]
         atoms = np.stack([amino.atoms(*names)[residues] for names in CHI[name][:n_chi]], axis=1)
         complete = (atoms != NONE).all(axis=(1, 2))
         kinds.append((name, residues[complete]))

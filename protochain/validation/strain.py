@@ -62,16 +62,11 @@ class Strain(Value):
         x = structure.positions if x is None else x
         lengths = ANGSTROM_PER_NM * distance(*x[self.bonds.T])
         degrees = np.degrees(angle(*x[self.angles.T]))
-        lines = [
-            f"bond of {structure.describe(i)} and {structure.describe(j)} is {value:.2f} angstrom long, "
-            f"{by:+.1f} standard deviations"
-            for (i, j), value, by in zip(
-                self.bonds.tolist(), lengths.tolist(), self.bond_deviations.tolist(), strict=True
-            )
-        ]
-        for atoms, value, by in zip(
-            self.angles.tolist(), degrees.tolist(), self.angle_deviations.tolist(), strict=True
-        ):
+        lines = []
+        for (i, j), value, by in zip(self.bonds, lengths, self.bond_deviations, strict=True):
+            ends = f"{structure.describe(int(i))} and {structure.describe(int(j))}"
+            lines.append(f"bond of {ends} is {value:.2f} angstrom long, {by:+.1f} standard deviations")
+        for atoms, value, by in zip(self.angles, degrees, self.angle_deviations, strict=True):
             name = "-".join(structure.atom_name[atoms].tolist())
             where = structure.describe_residue(int(structure.atom_residue[atoms[1]]))
             lines.append(f"angle {name} of {where} is {value:.0f} degrees, {by:+.1f} standard deviations")
@@ -106,10 +101,11 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
         If x has another shape.
     """
     x = positions(structure, x)
-    terms = _terms(structure)
-    bonds, by_bond = _outliers(terms.bonds, distance(*x[terms.bonds.T]), terms.lengths)
-    angles, by_angle = _outliers(terms.triples, angle(*x[terms.triples.T]), terms.angles)
-    return Strain(bonds, by_bond, angles, by_angle, len(terms.bonds), len(terms.triples))
+    (bonds, lengths), (triples, angles) = _terms(structure)
+    outliers = (
+        *_outliers(bonds, distance(*x[bonds.T]), lengths), *_outliers(triples, angle(*x[triples.T]), angles)
+    )  # fmt: skip
+    return Strain(*outliers, len(bonds), len(triples))
 
 
 def _outliers(atoms: Integers, values: Floats, norms: Floats) -> tuple[Integers, Floats]:
@@ -119,26 +115,16 @@ def _outliers(atoms: Integers, values: Floats, norms: Floats) -> tuple[Integers,
     return read_only(atoms[outliers], np.int64), read_only(deviation[outliers])
 
 
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """Bonds (n, 2) and angles (m, 3), each with its value and standard deviation (n, 2), nm or rad."""
-
-    bonds: Integers
-    lengths: Floats
-    triples: Integers
-    angles: Floats
-
-
 @per_structure
-def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
-    bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
+def _terms(structure: Structure, hydrogens: bool = False) -> list[tuple[Integers, Floats]]:
+    """Bonds (n, 2), angles (m, 3), each with their values and standard deviations (n, 2), nm or rad."""
     terms = []
-    for atoms in (bonds, triples):
+    for atoms in (structure.bonds, bond_angles(structure.bonds, structure.n_atoms)):
         values = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
         has_norm = np.isfinite(values).all(axis=1)
         has_norm &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
-        terms += [atoms[has_norm], values[has_norm]]
-    return _Terms(*terms)
+        terms.append((atoms[has_norm], values[has_norm]))
+    return terms
 
 
 def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
@@ -153,13 +139,7 @@ def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
 
 @per_structure
 def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
-    """Atom types of the structure, and the type of each atom by its place among them (na,)."""
-    names, kind = np.unique(_types(structure), return_inverse=True)
-    return names, kind
-
-
-def _types(structure: Structure) -> list[str]:
-    """Atom types of the force field, empty if it has none."""
+    """Atom types of the force field, empty if it has none, and the place of each atom's type among them."""
     nucleotide = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
     names = np.where(structure.kept & ~nucleotide, "", structure.atom_name)
     first = np.searchsorted(structure.atom_residue, np.arange(1, structure.n_residues))
@@ -167,7 +147,7 @@ def _types(structure: Structure) -> list[str]:
     for residue, atoms in zip(structure.residue_name.tolist(), np.split(names, first), strict=True):
         by_name = _residue_types(residue, tuple(atoms.tolist()))
         types += [by_name.get(name, "") for name in atoms.tolist()]
-    return types
+    return np.unique(types, return_inverse=True)
 
 
 @cache

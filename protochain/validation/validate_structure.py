@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Value, floats
+from protochain.core.arrays import Floats, Value
 from protochain.core.checks import flag
 from protochain.core.markup import facts, plural
 from protochain.core.settings import document_fields
@@ -18,6 +18,7 @@ from protochain.structure.matching import structure_to_measure
 from protochain.structure.molecule.model import Structure
 from protochain.structure.molecule.repairs import Kind
 from protochain.validation.findings import MEASURES, Findings
+from protochain.validation.layout import positions
 from protochain.validation.ligands import LIGAND_COLUMNS, LigandFound, with_posebusters
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.nucleic import nucleotide_table, nucleotides
@@ -118,10 +119,7 @@ class Validation(Value):
     def _repr_html_(self) -> str:
         words = {key: measure.what for key, measure in MEASURES.items()}
         words |= {key: description for key, (_, description) in LIKENESS.items()}
-        rows = {
-            words[key]: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
-            for key, value in self.measures.items()
-        }
+        rows = {words[key]: value for key, value in self.measures.items()}
         return facts(f"Validation of {self.structure.name}", rows)
 
 
@@ -147,7 +145,7 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
         If x has another shape.
     """
     structure = as_structure(structure)
-    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nanometer")
+    x = positions(structure, x)
     if not np.isfinite(x).all():
         return dict.fromkeys(MEASURES)
     return Findings(structure, x).measures()

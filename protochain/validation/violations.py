@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, freeze, read_only
+from protochain.core.arrays import Floats, Integers, Value, distance, freeze, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import plural
 from protochain.core.settings import document_fields
@@ -71,14 +71,8 @@ class Violations(Value):
     @property
     def counts(self) -> dict[str, int]:
         """Numbers of each kind: peptide bonds, their angles, clashes, distances, covalent bonds."""
-        return {
-            "bonds": len(self.bonds),
-            "angles_ca_c_n": len(self.angles_ca_c_n),
-            "angles_c_n_ca": len(self.angles_c_n_ca),
-            "clashes": len(self.clashes),
-            "within": len(self.within),
-            "covalent": len(self.covalent),
-        }
+        kinds = ("bonds", "angles_ca_c_n", "angles_c_n_ca", "clashes", "within", "covalent")
+        return {kind: len(getattr(self, kind)) for kind in kinds}
 
     def __bool__(self) -> bool:
         return bool(self.per_residue.any())
@@ -114,9 +108,7 @@ class Violations(Value):
         bonds, clashes, within = (
             [
                 f"{kind}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
-                for (i, j), r in zip(
-                    pairs.tolist(), np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1), strict=True
-                )
+                for (i, j), r in zip(pairs.tolist(), distance(*x[pairs.T]), strict=True)
             ]
             for kind, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within))
         )
@@ -202,24 +194,21 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
     """Atoms (n, 2) of different residues that overlap."""
     atoms, radius, bonded = _contacts(structure)
     reach = 2 * max(_RADIUS.values()) - _OVERLAP
-    pairs = cKDTree(x[atoms]).query_pairs(reach, output_type="ndarray") if len(atoms) else np.empty((0, 2))
-    pairs = np.sort(atoms[pairs.astype(np.int64)], axis=1)
+    pairs = np.sort(atoms[cKDTree(x[atoms]).query_pairs(reach, output_type="ndarray")], axis=1)
     residue, sulphur = structure.atom_residue, radius == _RADIUS["S"]
     different = residue[pairs[:, 0]] != residue[pairs[:, 1]]
     # AlphaFold spares all pairs of SG, bonded or not.
-    is_sg = structure.atom_name[pairs] == "SG" if len(pairs) else np.zeros((0, 2), dtype=bool)
-    spared = (is_sg & sulphur[pairs]).all(axis=1)
+    spared = ((structure.atom_name[pairs] == "SG") & sulphur[pairs]).all(axis=1)
     spared |= np.isin(pairs @ [structure.n_atoms, 1], bonded)
-    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    pairs = pairs[different & ~spared & (distance < radius[pairs].sum(axis=1) - _OVERLAP)]
+    pairs = pairs[different & ~spared & (distance(*x[pairs.T]) < radius[pairs].sum(axis=1) - _OVERLAP)]
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
 def _within(structure: Structure, x: Floats) -> Integers:
     """Atoms (n, 2) of one residue at a wrong distance."""
     pairs, lower, upper = _neighbours(structure)
-    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    return np.asarray(pairs[(distance < lower) | (distance > upper)])
+    length = distance(*x[pairs.T])
+    return np.asarray(pairs[(length < lower) | (length > upper)])
 
 
 @per_structure
@@ -286,22 +275,12 @@ def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     return read_only(atoms, np.int64), read_only(radius), read_only(bonded, np.int64)
 
 
-@dataclass(frozen=True)
-class _Norm:
-    """Usual value of a bond length or angle within a residue."""
-
-    residue: str
-    atoms: tuple[str, ...]  # Two of a bond, three of an angle.
-    mean: float
-    sigma: float
-
-
 @cache
-def _norms() -> tuple[_Norm, ...]:
-    """Rows of the table of bond lengths and angles within residues."""
+def _norms() -> tuple[tuple[str, tuple[str, ...], float, float], ...]:
+    """Residue, atoms, mean and deviation of bonds and angles, which have two and three atoms."""
     with _TABLE.open(newline="") as file:
         rows = list(csv.reader(file))[1:]
-    return tuple(_Norm(row[0], tuple(row[1].split("-")), float(row[2]), float(row[3])) for row in rows)
+    return tuple((row[0], tuple(row[1].split("-")), float(row[2]), float(row[3])) for row in rows)
 
 
 @cache
@@ -309,10 +288,8 @@ def _slots() -> dict[tuple[str, str], int]:
     """Place (0 to 13) of each heavy atom in its residue, by names of residue and atom: N, CA, C, O first."""
     place_of: dict[tuple[str, str], int] = {}
     for residue in _TYPES:
-        first = dict.fromkeys(("N", "CA", "C", "O"))
-        names = first | dict.fromkeys(
-            name for row in _norms() if row.residue == residue for name in row.atoms
-        )
+        others = (name for owner, atoms, *_ in _norms() if owner == residue for name in atoms)
+        names = dict.fromkeys(("N", "CA", "C", "O", *others))
         place_of |= {(residue, name): place for place, name in enumerate(names)}
     return place_of
 
@@ -323,29 +300,26 @@ def _distances() -> tuple[Floats, Floats]:
     shape = (len(_TYPES), _WIDTH, _WIDTH)
     mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
     for n_atoms in (2, 3):
-        for row in _norms():
-            if len(row.atoms) != n_atoms:
+        for residue, atoms, *value in _norms():
+            if len(atoms) != n_atoms:
                 continue
-            kind, places = _TYPES.index(row.residue), [_slots()[row.residue, name] for name in row.atoms]
-            value = (row.mean, row.sigma)
+            kind, places = _TYPES.index(residue), [_slots()[residue, name] for name in atoms]
             if n_atoms == 3:
                 i, j, k = places
                 arms = ((mean[kind, i, j], sigma[kind, i, j]), (mean[kind, j, k], sigma[kind, j, k]))
-                value = _opposite(*arms, (np.radians(row.mean), np.radians(row.sigma)))
+                value = _opposite(*arms, np.radians(value))
             first, last = places[0], places[-1]
             mean[kind, first, last] = mean[kind, last, first] = value[0]
             sigma[kind, first, last] = sigma[kind, last, first] = value[1]
     return freeze(mean), freeze(sigma)
 
 
-def _opposite(
-    a: tuple[float, float], b: tuple[float, float], angle: tuple[float, float]
-) -> tuple[float, float]:
+def _opposite(a: tuple[float, float], b: tuple[float, float], angle: Floats) -> list[float]:
     """Side of a triangle opposite to the angle between sides a and b, each with its standard deviation."""
     cosine, sine = np.cos(angle[0]), np.sin(angle[0])
     side = np.sqrt(a[0] ** 2 + b[0] ** 2 - 2 * a[0] * b[0] * cosine)
     parts = ((a[0] - b[0] * cosine) * a[1], (b[0] - a[0] * cosine) * b[1], a[0] * b[0] * sine * angle[1])
-    return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
+    return [float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)]
 
 
 @per_structure
@@ -358,10 +332,8 @@ def _places(structure: Structure) -> tuple[Integers, Integers]:
     residue = structure.atom_residue
     heavy = np.flatnonzero((structure.atom_element != "H") & (kind[residue] >= 0))
     table = _slots()
-    for atom, r, name in zip(
-        heavy.tolist(), residue[heavy].tolist(), structure.atom_name[heavy].tolist(), strict=True
-    ):
-        place = table.get((names[r], name))
-        if place is not None:
+    owners, atom_names = residue[heavy].tolist(), structure.atom_name[heavy].tolist()
+    for atom, r, name in zip(heavy.tolist(), owners, atom_names, strict=True):
+        if (place := table.get((names[r], name))) is not None:
             atom_at[r, place] = atom
     return read_only(atom_at, np.int64), read_only(kind, np.int64)

@@ -8,7 +8,6 @@ import pytest
 from fixtures.samples import load
 
 import protochain as pc
-from protochain.chains.amber_restraints import INERT
 from protochain.chains.cns_selection import parse_selection
 from protochain.chains.restraint_lines import read_restraints
 from protochain.chains.restraint_list import Restraints
@@ -231,6 +230,10 @@ REFUSED = {
     **{f"{name}{k}": "iat=1,2,3,4,5,6,-1,-1" for name in ("igr", "grnam") for k in range(3, 9)},
 }  # fmt: skip
 """Variables that are refused."""
+INERT = {
+    "ixpk", "nxpk", "ifntyp", "ninc", "imult", "r0a", "r1a", "r2a", "r3a", "r4a", "k0a", "rk2a", "rk3a",
+}  # fmt: skip
+"""Labels of peaks, time averages, and changes of restraints with time, which do not change the energies."""
 
 
 @pytest.mark.parametrize("name", AMBER)

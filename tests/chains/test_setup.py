@@ -14,7 +14,7 @@ import protochain as pc
 from protochain.batches import BatchSettings, Processes
 from protochain.cli import app
 from protochain.core import defaults
-from protochain.energies.energy_cache import cached_energy
+from protochain.energies.requested import cached_energy
 
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = STRUCTURES / "ala10.pdb"

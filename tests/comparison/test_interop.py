@@ -12,7 +12,7 @@ from fixtures.tolerances import NATIVE_ENERGY
 from openmm import app, unit
 
 import protochain as pc
-from protochain.energies.energy_cache import cached_energy
+from protochain.energies.requested import cached_energy
 
 SINGLE_NM = 2e-6
 """Positions of some nm in single precision."""

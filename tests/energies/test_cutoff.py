@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
-from protochain.energies.factory import _rule_of
+from protochain.energies.factory import _sums_of
 
 
 def by_openmm(s, solvent, cutoff):
@@ -103,5 +103,4 @@ def test_a_cutoff_within_which_atoms_touch_is_refused_by_every_engine(engine):
     ],
 )  # fmt: skip
 def test_the_rules_of_sums_go_by_engine_solvent_and_size(engine, solvent, n_atoms, accuracy, cutoff):
-    rule = _rule_of(engine, solvent, n_atoms)
-    assert (rule.accuracy, rule.cutoff) == (accuracy, cutoff)
+    assert _sums_of(engine, solvent, n_atoms) == (accuracy, cutoff)

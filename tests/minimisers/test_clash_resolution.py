@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
-from protochain.energies.bonded import bonded_part
+from protochain.energies.factory import bonded_part
 from protochain.minimisers import RECIPES, Stop, spring_model, verdict
 from protochain.minimisers.clash_resolution import all_atom_clash_stages, torsion_clash_stages
 from protochain.minimisers.curvature import near_terms, springs_solver

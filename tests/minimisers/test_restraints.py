@@ -6,7 +6,7 @@ from fixtures.samples import load
 
 import protochain as pc
 from protochain.chains.contacts import radii
-from protochain.minimisers.restraints import Hold, Leash, SoftRepulsion, Sum, Tethers, UserRestraint
+from protochain.minimisers.restraints import Hold, Leash, SoftRepulsion, Sum, Tethers
 
 
 def test_tethers_pull_each_atom_home_by_its_own_weight():
@@ -90,8 +90,8 @@ def test_restraints_come_springs_first_then_the_term_then_the_leash():
     s = load("ala10.pdb")
     found = Hold((100.0, 0.0), 0.5, term).restraints(s)
     kinds = [[type(part).__name__ for part in each.parts] for each in found]
-    assert kinds == [["Tethers", "UserRestraint", "Leash"], ["UserRestraint", "Leash"]]
-    assert found[0].parts[1] == UserRestraint(term) and found[0].parts[2].limit == 0.5
+    assert kinds == [["Tethers", "partial", "Leash"], ["partial", "Leash"]]
+    assert found[0].parts[1].args == (term,) and found[0].parts[2].limit == 0.5
     assert found[0].parts[0].weight.max() == 100.0
     assert Hold((0.0, 0.0)).restraints(s) == [None, None]
 

@@ -15,7 +15,7 @@ from protochain.validation.findings import Findings, describe_remains, remains
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables
-from protochain.validation.rotamers import rotamers_of, side_chains
+from protochain.validation.rotamers import rotamers, side_chains
 
 DEGREES, ANGSTROM, SCORE = 2e-3, 2e-4, 2e-6
 """Of cctbx's values, from the same coordinates: rounded to the digits of the frozen table, scores of up to 1
@@ -243,7 +243,7 @@ def test_side_chains_on_a_rotamer_are_none_of_the_outliers_and_half_way_between_
     # Phe: its ring turned by half is the same ring.
     assert bent("45", chi1=-66.8, chi2=-80.6) == bent("45", chi1=-66.8, chi2=99.4) == ("m-80", False)
     assert bent("4", chi1=120.0, chi2=-80.6)[1]
-    names, usual = rotamers_of("LYS")
+    names, usual = rotamers()["LYS"]
     assert usual.shape == (len(names), 4) and dict(zip(names, usual[:, 0], strict=True))["mttt"] == -67.65
 
 

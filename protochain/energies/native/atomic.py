@@ -29,7 +29,6 @@ yield_processor: Any = types.ExternalFunction(
     "SwitchToThread" if sys.platform == "win32" else "sched_yield", types.int32()
 )
 """Let the operating system run another thread on this processor."""
-
 _IS_WINDOWS = sys.platform == "win32"
 _counter: Any = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
 _clock: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))

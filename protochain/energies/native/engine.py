@@ -9,7 +9,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import openmm
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
@@ -21,7 +20,6 @@ from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.native.tree import build_tree, screened_pairs
 from protochain.energies.openmm_engine import OpenMMEnergy
-from protochain.energies.protocol import Energy
 
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
@@ -54,6 +52,11 @@ class NativeEnergy:
     """
 
     engine, device, is_exact = "native", "cpu", True
+    system = property(lambda self: self.by_openmm.system, doc="The OpenMM System.")
+    fingerprint = property(lambda self: self.by_openmm.fingerprint, doc="SHA-256 of the System.")
+    reference = property(
+        lambda self: self.by_openmm.reference, doc="The same energy on OpenMM's Reference platform."
+    )
 
     def __init__(
         self,
@@ -95,11 +98,6 @@ class NativeEnergy:
         return _rebuild, (self.by_openmm, self.threads, self.opening, rigid)
 
     @property
-    def system(self) -> openmm.System:
-        """The OpenMM System."""
-        return self.by_openmm.system
-
-    @property
     def reason(self) -> str:
         """Kernels, precision, threads, the accuracy of far pairs, and the omitted constant terms."""
         text = f"native kernels, double precision, {self.threads} threads"
@@ -128,11 +126,6 @@ class NativeEnergy:
         return {
             "terms": n_terms, "pairs": self._layout.pairs_of(self._lists), "lists": len(self._lists.close),
         }  # fmt: skip
-
-    @property
-    def reference(self) -> "Energy":
-        """The same energy on OpenMM's Reference platform."""
-        return self.by_openmm.reference
 
     @cached_property
     def exact(self) -> "NativeEnergy":
@@ -178,11 +171,6 @@ class NativeEnergy:
         if self.opening is not None:
             self.errors = (*self.errors[:1], error)
         return error
-
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 of the System."""
-        return self.by_openmm.fingerprint
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""

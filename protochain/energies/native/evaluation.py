@@ -17,17 +17,8 @@ from protochain.energies.native.layout import BORN, CHUNKS, ROWS, SUMS, W, align
 from protochain.energies.native.neighbours import Lists
 
 KINDS = (
-    "bonds",
-    "angles",
-    "torsions",
-    "impropers",
-    "maps",
-    "ties",
-    "tie angles",
-    "nonbonded",
-    "polar",
-    "surface",
-)
+    "bonds", "angles", "torsions", "impropers", "maps", "ties", "tie angles", "nonbonded", "polar", "surface",
+)  # fmt: skip
 """Components of the energy, in the order of the rows of ``tasks``."""
 _FEW_BLOCKS = 32
 """Largest number of blocks for which a task of one of 16 chunks is too small for two threads."""
@@ -51,12 +42,11 @@ class Workspace:
 
 
 class Evaluation:
-    """An energy with its lists.
+    """An energy with its lists."""
 
-    fixed (na,): Constant parts of the Born integrals.
-    workspace: Workspace of the same layout. Only one evaluation at a time may use it.
-    far: Interactions by a tree. Its order of atoms applies to layout, lists and workspace.
-    """
+    # fixed (na,): Constant parts of the Born integrals.
+    # workspace: Workspace of the same layout. Only one evaluation at a time may use it.
+    # far: Interactions by a tree. Its order of atoms applies to layout, lists and workspace.
 
     def __init__(
         self, layout: Layout, lists: Lists, fixed: Floats, workspace: Workspace, threads: int,
@@ -71,11 +61,6 @@ class Evaluation:
         self._counters[tasks.STEPS] = tasks.IN_VACUUM if layout.terms.solvent is None else tasks.IN_SOLVENT
         self._state = threading.Lock()
         self._is_running, self._n_helping, self._helpers = False, 0, helpers()
-
-    @property
-    def work_arguments(self) -> tuple[Any, ...]:
-        """Arguments of :func:`tasks.work` for the thread that leads."""
-        return True, self._counters, *self._arguments
 
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""

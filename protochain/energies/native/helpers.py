@@ -18,11 +18,10 @@ _CREDIT = 0.01  # s. Initial credit of helpers: a few turns of the scheduler.
 
 @dataclass
 class Worth:
-    """Whether helpers save time. On a busy machine the leading thread may wait longer for their last tasks.
+    """Whether helpers save time. On a busy machine the leading thread may wait for their last tasks."""
 
-    After a net loss of time, helpers pause, for twice as long each time. This changes only the run time: an
-    energy has the same bits on any number of threads.
-    """
+    # After a net loss of time, helpers pause, for twice as long each time. This changes only the run time: an
+    # energy has the same bits on any number of threads.
 
     balance: float = _CREDIT  # s saved recently, as a decaying sum.
     pause: float = 0.0  # s. Length of the last pause.

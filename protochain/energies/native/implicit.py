@@ -9,7 +9,7 @@ import openmm
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.neck import REACH
-from protochain.energies.native.reading import UnsupportedForceError, plain, rows, strip
+from protochain.energies.native.reading import UnsupportedForceError, plain, rows, strip, tables
 
 COULOMB_CUSTOM = 138.935485  # COULOMB as the implicit-solvent files round it.
 OBC2_CHARGE_SCALE = np.sqrt(COULOMB_CUSTOM / COULOMB)
@@ -177,14 +177,10 @@ def _necks(expression: str, columns: dict[str, Floats], force: openmm.CustomGBFo
     if numbers is None or float(numbers[2]) != REACH:
         raise UnsupportedForceError(f"CustomGBForce with Born integral {expression!r}")
     scale, offset = float(numbers[1]), float(numbers[3])
-    tables = {}
-    for i in range(force.getNumTabulatedFunctions()):
-        width, height, values = force.getTabulatedFunction(i).getFunctionParameters()
-        tables[force.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
-    kind = columns["radindex"].astype(np.int64)
-    radius = np.zeros(len(tables["getm0"]))
+    peaks, kind = tables(force), columns["radindex"].astype(np.int64)
+    radius = np.zeros(len(peaks["getm0"]))
     radius[kind] = columns["or"] + offset
     if not np.array_equal(radius[kind], columns["or"] + offset):
         raise UnsupportedForceError("CustomGBForce whose necks' types have more than one radius")
     reach = radius[:, None] + radius[None, :] + REACH
-    return Necks(kind, scale * tables["getm0"], tables["getd0"], reach)
+    return Necks(kind, scale * peaks["getm0"], peaks["getd0"], reach)

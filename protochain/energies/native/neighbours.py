@@ -59,16 +59,9 @@ def largest_displacement2(a: Floats, b: Floats) -> float:
     return largest
 
 
-@scalar
 def _boxes(x: Floats) -> tuple[Floats, Floats]:
-    """Bounding box of each block."""
-    n = -(-len(x) // W)
-    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-    for i in range(len(x)):
-        for axis in range(3):
-            low[i // W, axis] = min(low[i // W, axis], x[i, axis])
-            high[i // W, axis] = max(high[i // W, axis], x[i, axis])
-    return low, high
+    first = np.arange(0, len(x), W)
+    return np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
 
 
 def _tiles(
@@ -125,7 +118,6 @@ def _classify_tiles(
 
 @scalar
 def _box_distance2(low: Floats, high: Floats, i: int, j: int) -> float:
-    """Squared distance of two boxes."""
     distance2 = 0.0
     for k in range(3):
         gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
@@ -169,7 +161,6 @@ def _close_pairs(
 
 @scalar
 def _share_group(groups: Integers, i: int, j: int) -> bool:
-    """Whether two atoms share a rigid group."""
     for a in range(groups.shape[1]):
         for b in range(groups.shape[1]):
             if groups[i, a] == groups[j, b] and groups[i, a] >= 0:

@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import unit
 
+from protochain.core.arrays import Floats
 from protochain.core.errors import ForceFieldError
 
 
@@ -30,6 +32,15 @@ def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
     return [read(force, i) for i in indices]
 
 
+def tables(force: openmm.Force) -> dict[str, Floats]:
+    """Tabulated functions of two variables of a force, by name."""
+    values_of = {}
+    for i in range(force.getNumTabulatedFunctions()):
+        width, height, values = force.getTabulatedFunction(i).getFunctionParameters()
+        values_of[force.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
+    return values_of
+
+
 def plain(value: Any) -> float:
     """Convert a value of an OpenMM getter to a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
     # OpenMM's quantities are in these units.
@@ -39,11 +50,3 @@ def plain(value: Any) -> float:
 def strip(expression: str) -> str:
     """Return an expression without blanks and final semicolon."""
     return "".join(expression.split()).rstrip(";")
-
-
-def check_cutoff(name: str, cutoff: float, reference: float) -> None:
-    """Refuse a force whose cutoff in nm (infinite for none) differs from NonbondedForce's cutoff."""
-    if cutoff != reference:
-        raise UnsupportedForceError(
-            f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {reference:g} nm"
-        )

@@ -196,12 +196,8 @@ def put_pulls(chunks: Share, atoms: Floats, pull: Floats, far: Any) -> None:
 def far_forces(chunks: Share, state: Any, far: Any) -> None:
     """Add forces and energies of all fields."""
     x, atoms, _, _, parts, forces = state
-    (
-        (charges, _, fields, of_fields),
-        (leaves, _, _, centre, _, _),
-        (_, _, acts, orders, factors, tabled),
-        _,
-    ) = far
+    (charges, _, fields, of_fields), (leaves, _, _, centre, _, _), settings, _ = far
+    _, _, acts, orders, factors, tabled = settings
     expansion.put_far_forces(
         chunks, atoms, charges, orders, acts, factors, leaves, centre, tabled, fields, of_fields,
         parts[NONBONDED : POLAR + 1],

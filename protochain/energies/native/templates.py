@@ -52,10 +52,8 @@ class _Assigned(NamedTuple):
 def template_terms(
     structure: Structure, force_field: app.ForceField, obc2: openmm.Force | None
 ) -> Terms | None:
-    """Terms of a structure without cutoff, equal bit by bit to terms of its System.
-
-    The particles of ``obc2`` are the atoms. None if only a System has all terms.
-    """
+    """Terms of a structure without cutoff, equal bit by bit to terms of its System."""
+    # The particles of ``obc2`` are the atoms. None if only a System has all terms.
     by_class = {type(generator): generator for generator in force_field.getGenerators()}
     if by_class.keys() != _GENERATORS or force_field._scripts or force_field._templateMatchers:
         return None

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
-from protochain.energies.native.maps import spline_coefficients
-from protochain.energies.native.reading import UnsupportedForceError, check_cutoff, plain, rows, strip
+from protochain.energies.native.reading import UnsupportedForceError, plain, rows, strip, tables
 
+_HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
+"""Coefficients of 1, u, u^2, u^3 from values at 0 and 1 and slopes at 0 and 1."""
 NO_MAPS = np.zeros((1, 1, 1, 4, 4))  # Coefficients of a System without torsion maps.
 SHAPES = {
     "bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1),
@@ -82,7 +83,6 @@ class Terms:
         return centres
 
     def _near(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
-        """Whether atoms (n,) and (n,) are bonded."""
         bonds = np.sort(self.bonded["bonds"].atoms, axis=1) @ [self.n_atoms, 1]
         return np.isin(self.n_atoms * np.minimum(first, second) + np.maximum(first, second), bonds)
 
@@ -93,13 +93,11 @@ def compile_system(system: openmm.System) -> Terms:
     for force in system.getForces():
         forces_by_class.setdefault(type(force).__name__, []).append(force)
     forces_by_class.pop("CMMotionRemover", None)
-    unknown = sorted(set(forces_by_class) - set(READERS) - {"NonbondedForce", *_WITH_NONBONDED})
-    if unknown:
+    if unknown := sorted(set(forces_by_class) - set(READERS) - {"NonbondedForce", *_WITH_NONBONDED}):
         raise UnsupportedForceError(f"{unknown[0]} has no native kernel")
     if any(system.isVirtualSite(i) for i in range(system.getNumParticles())):
         raise UnsupportedForceError("virtual sites have no native kernel")
-    repeated = [name for name in forces_by_class if name in _ONCE and len(forces_by_class[name]) > 1]
-    if repeated:
+    if repeated := [name for name in forces_by_class if name in _ONCE and len(forces_by_class[name]) > 1]:
         raise UnsupportedForceError(f"more than one {repeated[0]}")
     for forces in forces_by_class.values():
         for force in forces:
@@ -113,7 +111,7 @@ def compile_system(system: openmm.System) -> Terms:
     coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else NO_MAPS
     nonbonded, solvent = _read_nonbonded(system, forces_by_class), _read_solvent(forces_by_class)
     if solvent is not None:
-        check_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
+        _check_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
     return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
 
 
@@ -139,8 +137,7 @@ def _read_impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
 
 
 def _read_map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
-    read = rows(force, "getNumTorsions", "getTorsionParameters")
-    return [[*row[1:], row[0]] for row in read]
+    return [[*row[1:], row[0]] for row in rows(force, "getNumTorsions", "getTorsionParameters")]
 
 
 READERS = {
@@ -156,6 +153,34 @@ def _read_maps(force: openmm.CMAPTorsionForce) -> list[Floats]:
     read = [force.getMapParameters(i) for i in range(force.getNumMaps())]
     # OpenMM's first angle runs fastest.
     return [np.array([plain(v) for v in values]).reshape(size, size).T for size, values in read]
+
+
+def spline_coefficients(grid: Floats) -> Floats:
+    """Fit the periodic bicubic spline through a map."""
+    # grid (size, size) kJ/mol -> (size, size, 4, 4): Coefficients of u^a v^b, u and v from 0 to 1 in a cell.
+    # First and cross derivatives are from periodic cubic splines along each axis: MacKerell, Feig,
+    # Brooks, J. Comput. Chem. 25:1400 (2004).
+    along = _slopes(grid, 0)
+    across = _slopes(grid, 1)
+    cross = _slopes(along, 1)
+    corners = np.empty((*grid.shape, 4, 4))
+    for a, (value, slope) in enumerate(((grid, across), (along, cross))):
+        for i in (0, 1):
+            for j in (0, 1):
+                corners[..., 2 * a + i, j] = np.roll(value, (-i, -j), (0, 1))
+                corners[..., 2 * a + i, 2 + j] = np.roll(slope, (-i, -j), (0, 1))
+    return np.einsum("ap,ijpq,bq->ijab", _HERMITE, corners, _HERMITE)
+
+
+def _slopes(values: Floats, axis: int) -> Floats:
+    """Differentiate the periodic spline along one axis, per grid step."""
+    # Imported only for force fields with maps, because the import is as slow as minimising a small protein.
+    from scipy.interpolate import CubicSpline
+
+    size = values.shape[axis]
+    closed = np.concatenate([values, np.take(values, [0], axis)], axis)
+    spline = CubicSpline(np.arange(size + 1), closed, axis=axis, bc_type="periodic")
+    return np.asarray(spline(np.arange(size), 1))
 
 
 def _read_nonbonded(system: openmm.System, forces_by_class: dict[str, list[openmm.Force]]) -> Nonbonded:
@@ -175,29 +200,31 @@ def _read_nonbonded(system: openmm.System, forces_by_class: dict[str, list[openm
         krf = (dielectric - 1.0) / (2.0 * dielectric + 1.0) / cutoff**3
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
     particles = np.array(rows(force, "getNumParticles", "getParticleParameters"))
-    table = forces_by_class.get("CustomNonbondedForce")
-    tables = (_read_types(table[0], force), *_read_tables(table[0])) if table else None
+    pair_tables = None
+    for table in forces_by_class.get("CustomNonbondedForce", []):
+        types, read = _read_types(table, force), tables(table)
+        pair_tables = types, read["acoef"], read["bcoef"]
     exceptions = _read_exceptions(force, forces_by_class)
-    return nonbonded_of(particles, exceptions, cutoff, krf, crf, tables)
+    return nonbonded_of(particles, exceptions, cutoff, krf, crf, pair_tables)
 
 
 def nonbonded_of(
     particles: Floats, exceptions: Bonded, cutoff: float = np.inf, krf: float = 0.0, crf: float = 0.0,
-    tables: tuple[list[float], Floats, Floats] | None = None,
+    pair_tables: tuple[list[float], Floats, Floats] | None = None,
 ) -> Nonbonded:  # fmt: skip
     """Parameters of particles (na, 3): charge, sigma, epsilon, and with tables of their types."""
     charge, sigma, epsilon = particles.T
     # Sigma has no effect without a well, so all such atoms share a type.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(len(charge))])
-    if tables:
-        kinds[:, 2] = tables[0]
+    if pair_tables:
+        kinds[:, 2] = pair_tables[0]
     types, lj_type = np.unique(kinds, axis=0, return_inverse=True)
     s6 = (0.5 * (types[:, None, 0] + types[None, :, 0])) ** 6
     b6 = 4.0 * np.sqrt(types[:, None, 1] * types[None, :, 1]) * s6
     a12 = b6 * s6
-    if tables:
+    if pair_tables:
         table_type = types[:, 2].astype(int)
-        _, more_a, more_b = tables
+        _, more_a, more_b = pair_tables
         a12, b6 = a12 + more_a[np.ix_(table_type, table_type)], b6 + more_b[np.ix_(table_type, table_type)]
     return Nonbonded(
         charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6, exceptions,
@@ -252,7 +279,7 @@ def _read_types(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce
     if not is_supported:
         raise UnsupportedForceError(f"CustomNonbondedForce {table.getEnergyFunction()!r}")
     if force.getNonbondedMethod() != force.NoCutoff:
-        check_cutoff(
+        _check_cutoff(
             "CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance())
         )
     excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
@@ -260,14 +287,6 @@ def _read_types(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce
     if excluded != exceptions:
         raise UnsupportedForceError("CustomNonbondedForce with other exclusions than NonbondedForce")
     return [table.getParticleParameters(i)[0] for i in range(table.getNumParticles())]
-
-
-def _read_tables(table: openmm.CustomNonbondedForce) -> tuple[Floats, Floats]:
-    read = {}
-    for i in range(table.getNumTabulatedFunctions()):
-        width, height, values = table.getTabulatedFunction(i).getFunctionParameters()
-        read[table.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
-    return read["acoef"], read["bcoef"]
 
 
 def _read_solvent(forces_by_class: dict[str, list[openmm.Force]]) -> Solvent | None:
@@ -278,3 +297,11 @@ def _read_solvent(forces_by_class: dict[str, list[openmm.Force]]) -> Solvent | N
     for force in forces_by_class.get("CustomGBForce", []):
         return from_custom_gb(force)
     return None
+
+
+def _check_cutoff(name: str, cutoff: float, reference: float) -> None:
+    """Refuse a force whose cutoff in nm (infinite for none) differs from NonbondedForce's cutoff."""
+    if cutoff != reference:
+        raise UnsupportedForceError(
+            f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {reference:g} nm"
+        )

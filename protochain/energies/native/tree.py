@@ -43,16 +43,8 @@ def build_tree(x: Floats, opening: float, least_distance: float) -> Tree:
     ordered_pairs = np.concatenate([far, far[:, ::-1]])
     ordered_pairs = ordered_pairs[np.lexsort((ordered_pairs[:, 1], ordered_pairs[:, 0]))]
     start = np.searchsorted(ordered_pairs[:, 0], np.arange(len(nodes) + 1)).astype(np.int64)
-    return Tree(
-        order,
-        nodes,
-        np.append(roots, len(nodes)),
-        centre,
-        radius,
-        start,
-        np.ascontiguousarray(ordered_pairs[:, 1]),
-        near,
-    )
+    source = np.ascontiguousarray(ordered_pairs[:, 1])
+    return Tree(order, nodes, np.append(roots, len(nodes)), centre, radius, start, source, near)
 
 
 @scalar
