@@ -20,17 +20,9 @@ from protochain.core.arrays import Floats, Integers, Value, angle, distance, rea
 from protochain.core.graph import bond_angles
 from protochain.core.settings import document_fields
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.molecule import templates
 from protochain.structure.molecule.model import Structure, per_structure
 from protochain.structure.molecule.residues import NUCLEOTIDES
-from protochain.structure.molecule.templates import (
-    DNA,
-    PHOSPHATES,
-    PROTEIN,
-    RNA,
-    Template,
-    standard_name,
-    templates,
-)
 from protochain.validation.layout import positions
 
 BEYOND = 4.0  # Standard deviations.
@@ -42,7 +34,7 @@ _LONG, _SHORT = 0.045, 0.65
 """Limits of bonds to hydrogen and of bonds that the force field does not have: nm beyond the reference of
 fixed molecules, slightly above the reader's limit, and the smallest share of the reference.
 By convention hydrogens of files are nearer: C-H 0.93 angstrom for 1.09 (X-ray), S-H 0.96 for 1.34 (NMR)."""
-_FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
+_FILES = (templates.PROTEIN, templates.PHOSPHATES["amber14"], templates.DNA, templates.RNA)
 
 
 @document_fields
@@ -120,7 +112,7 @@ def _terms(structure: Structure, hydrogens: bool = False) -> list[tuple[Integers
     """Bonds (n, 2), angles (m, 3), each with their values and standard deviations (n, 2), nm or rad."""
     terms = []
     for atoms in (structure.bonds, bond_angles(structure.bonds, structure.n_atoms)):
-        values = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
+        values = norms(structure, atoms, templates.PROTEIN, templates.PHOSPHATES["amber14"])
         has_norm = np.isfinite(values).all(axis=1)
         has_norm &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
         terms.append((atoms[has_norm], values[has_norm]))
@@ -151,10 +143,10 @@ def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
 
 
 @cache
-def _by_residue() -> Mapping[str, list[Template]]:
-    by_name: dict[str, list[Template]] = {}
-    for template in templates().values():
-        by_name.setdefault(standard_name(template.name)[0], []).append(template)
+def _by_residue() -> Mapping[str, list[templates.Template]]:
+    by_name: dict[str, list[templates.Template]] = {}
+    for template in templates.templates().values():
+        by_name.setdefault(templates.standard_name(template.name)[0], []).append(template)
     return by_name
 
 
@@ -162,7 +154,7 @@ def _by_residue() -> Mapping[str, list[Template]]:
 def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     """Atom types of a residue: of the template with these atoms, or with the fewest more."""
     atoms = set(names) - {""}
-    name = standard_name(residue)[0]
+    name = templates.standard_name(residue)[0]
     usable = [entry for entry in _by_residue().get(name, ()) if atoms and atoms <= entry.element.keys()]
     # Of two templates with the same atoms, use the disulfide's, not the thiolate's.
     best = min(usable, key=lambda entry: (len(entry.element) - len(atoms), "CYM" in entry.name), default=None)
