@@ -45,15 +45,7 @@ class _Placement:
     def place(self) -> Floats:
         """Place hydrogens whose position is determined, then those that rotate."""
         parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
-        turning = []
-        for parent in self._place_opposite(parents):
-            hydrogens = self._hydrogens(parent)
-            directions = self._directions(parent, len(hydrogens))
-            # Excess hydrogens are rotated to the lowest energy.
-            if directions is None or len(directions) < len(hydrogens):
-                turning.append(parent)
-            else:
-                self._set_positions(parent, hydrogens, directions)
+        turning = self._place_around_bonds(self._place_opposite(parents))
         fixed = np.flatnonzero(~self.missing)
         self.fixed, self.tree = fixed, KDTree(self.x[fixed])
         metals = {symbol for symbol in {*self.element} if gemmi.Element(symbol).is_metal}
@@ -110,34 +102,54 @@ class _Placement:
             self.element[k] == "C" and len(self.neighbours[k]) == 3 for k in self.neighbours[atom]
         )
 
-    def _directions(self, parent: int, n: int) -> Floats | None:
-        """Return unit vectors (n, 3) to the hydrogens at one bond, or None if they rotate freely."""
-        bonded, planar = self._placed_neighbours(parent), self._is_planar(parent)
-        if len(bonded) == 1 and planar:
-            return self._directions_around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
-        if len(bonded) == 1 and len(self.neighbours[parent]) > 2:
-            return self._directions_around(parent, _TETRAHEDRAL, _STAGGERED[:n])
-        return None
+    def _place_around_bonds(self, parents: Iterable[int]) -> list[int]:
+        """Place hydrogens by dihedrals about one bond, those of a kind at once. Return other parents."""
+        kinds: dict[tuple[bool, int, int], list[list[int]]] = {}
+        turning = []
+        for parent in parents:
+            bonded, hydrogens = self._placed_neighbours(parent), self._hydrogens(parent)
+            planar, n = self._is_planar(parent), len(hydrogens)
+            # Excess hydrogens, and those that rotate freely, are rotated to the lowest energy.
+            if len(bonded) != 1 or len(self.neighbours[parent]) <= 2 or n > (2 if planar else 3):
+                turning.append(parent)
+                continue
+            # Behind a bond with heavy atoms at one end only, hydrogens that were placed before count.
+            behind = self._behind(parent, bonded[0])
+            single = parent if behind < 0 or self.element[behind] == "H" else -1
+            kinds.setdefault((planar, n, single), []).append([parent, bonded[0], *hydrogens])
+        for (planar, n, _), rows in kinds.items():
+            index, turns = np.array(rows), np.array([0.0, np.pi])[-n:] if planar else _STAGGERED[:n]
+            angle = _TRIGONAL if planar else _TETRAHEDRAL
+            directions = self._directions_around(index[:, 0], index[:, 1], angle, turns)
+            length = np.array([_LENGTH.get(self.element[k], _LENGTH["C"]) for k, *_ in rows])[:, None, None]
+            self.x[index[:, 2:]] = np.round(self.x[index[:, :1]] + length * directions, _DECIMALS)
+            self.missing[index[:, 2:]] = False
+        return turning
 
-    def _directions_around(self, parent: int, angle: float, turns: Floats) -> Floats:
-        """Directions (n, 3) from the angle to the only placed bond of the parent, and dihedrals about it."""
-        (near,) = self._placed_neighbours(parent)[:1]
-        axis = _unit(self.x[near] - self.x[parent])
+    def _behind(self, parent: int, near: int) -> int:
+        """Return the first placed atom behind the bond of a parent, heavy if there is one, or -1."""
         behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
-        heavy = [k for k in behind if self.element[k] != "H"]
-        arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _perpendicular_axis(axis)
-        arm = arm - (arm @ axis) * axis
-        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(cross(axis, _perpendicular_axis(axis)))
+        return next((k for k in behind if self.element[k] != "H"), behind[0] if behind else -1)
+
+    def _directions_around(self, parents: Integers, near: Integers, angle: float, turns: Floats) -> Floats:
+        """Directions (n, m, 3) from the angle to bonds of n parents, and m dihedrals about the bonds."""
+        axis = _unit(self.x[near] - self.x[parents])
+        other = _perpendicular_axis(axis)
+        behind = np.array([*map(self._behind, parents.tolist(), near.tolist())])
+        arm = np.where(behind[:, None] < 0, other, self.x[behind] - self.x[near])
+        arm = arm - dots(arm, axis)[:, None] * axis
+        is_bent = np.sqrt(dots(arm, arm))[:, None] > 1e-6
+        m = np.where(is_bent, _unit(arm), _unit(cross(axis, other)))
         n = cross(axis, m)
-        aside = np.cos(turns)[:, None] * m + np.sin(turns)[:, None] * n
-        return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
+        aside = np.cos(turns)[:, None] * m[:, None] + np.sin(turns)[:, None] * n[:, None]
+        return np.asarray(np.cos(angle) * axis[:, None] + np.sin(angle) * aside)
 
     def _turn(self, parent: int, hydrogen: int) -> None:
         """Rotate a hydrogen to its lowest energy."""
-        if self._placed_neighbours(parent):
+        if bonded := self._placed_neighbours(parent):
             is_water = all(self.element[k] == "H" for k in self.neighbours[parent])
             angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
-            choices = self._directions_around(parent, angle, _TURNS)
+            (choices,) = self._directions_around(np.array([parent]), np.array(bonded[:1]), angle, _TURNS)
         else:
             choices = sphere(len(_TURNS))
         energy = self._energies(parent, hydrogen, choices)
@@ -184,5 +196,5 @@ def _unit(v: Floats) -> Floats:
 
 
 def _perpendicular_axis(axis: Floats) -> Floats:
-    """Return the unit vector of the coordinate axis most nearly perpendicular to an axis."""
-    return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
+    """Return unit vectors (..., 3) of the coordinate axes most nearly perpendicular to axes (..., 3)."""
+    return np.asarray(np.eye(3)[np.argmin(np.abs(axis), axis=-1)])

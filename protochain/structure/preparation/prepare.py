@@ -6,6 +6,7 @@ bit for bit.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -346,7 +347,7 @@ def _bonds(draft: Draft, at: dict[int, dict[str, int]]) -> Integers:
 
 def _topology(draft: Draft, bonds: Integers) -> app.Topology:
     topology = app.Topology()
-    atoms = []
+    atoms, element_of = [], cache(app.Element.getBySymbol)
     templates_of = {id(member): template for member, template in draft.states}
     for part in draft.parts:
         chain, is_hetero = None, part.obstacle
@@ -355,9 +356,10 @@ def _topology(draft: Draft, bonds: Integers) -> app.Topology:
                 chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
-                element = app.Element.getBySymbol(atom.element.name)
-                charge = _formal_charge(atom, member, templates_of[id(member)], is_hetero)
-                atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
+                name, element, charge = atom.name, element_of(atom.element.name), 0
+                if is_hetero or name == "SG":
+                    charge = _formal_charge(atom, member, templates_of[id(member)], is_hetero)
+                atoms.append(topology.addAtom(name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology
