@@ -38,20 +38,29 @@ class HingeLoad(Load):
     """Torques at hinges, with the rows that a kernel computes them from."""
 
     rows: tuple[HingeRow, ...] = ()
-    feed_forward: bool = False
+    # Function that the rows compute. A load with another function is computed by calls in Python.
+    computed: Callable[..., Any] | None = None
+    gravity: Floats | None = None  # (3,): Acceleration of free fall in feed-forward, None without it.
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the rows compute it."""
+        return self.applied == self.computed
 
 
-def arrays_of_hinges(loads: Sequence[Load], gravity: Floats) -> tuple[tuple[Any, ...], list[HingeRow]]:
+def arrays_of_hinges(loads: Sequence[Load]) -> tuple[tuple[Any, ...], list[HingeRow]]:
     """Arrays of the loads at hinges, and the rows with a motion, in the order of their numbers."""
     rows: list[tuple[int, ...]] = []
     constants: list[tuple[float, ...]] = []
     moving: list[HingeRow] = []
     feed_forward: list[tuple[int, int]] = []
+    gravity: Floats = np.zeros(3)
     for number, load in enumerate(loads):
         if not isinstance(load, HingeLoad):
             continue
-        if load.feed_forward:
+        if load.gravity is not None:
             feed_forward.append((len(rows), len(rows) + len(load.rows)))
+            gravity = load.gravity
         for row in load.rows:
             rows.append((row.kind, number, row.place, row.freedom, -1 if row.motion is None else len(moving)))
             constants.append((*row.constants, *[0.0] * (4 - len(row.constants))))
@@ -59,7 +68,7 @@ def arrays_of_hinges(loads: Sequence[Load], gravity: Floats) -> tuple[tuple[Any,
     return (
         read_only(np.array(rows, np.int64).reshape(-1, 5), np.int64),
         read_only(np.reshape(constants, (-1, 4))),
-        read_only(np.array(feed_forward, np.int64).reshape(-1, 2), np.int64), gravity,
+        read_only(np.array(feed_forward, np.int64).reshape(-1, 2), np.int64), read_only(gravity),
     ), moving  # fmt: skip
 
 

@@ -8,6 +8,7 @@ time are evaluated before the steps.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ _MOST, _LEAST = 100_000, 1e-9
 """Substeps of a step, and the shortest by the step, as of ``in_substeps``, which words what fails."""
 _AT_ONCE = 1024
 """Steps for which functions of time are evaluated at once."""
+_pack = Struct("3d").pack
+"""Three numbers -> their bytes. Any other count is refused."""
 _NONE = np.empty(0, np.int64)
 _NO_JOINTS = LoopJoints(_NONE.reshape(0, 2), np.empty(0, np.bool_), np.empty((0, 2, 3)), np.empty((0, 2, 3)))
 _NO_SPRINGS = Springs(np.empty(0, "U1"), _NONE.reshape(0, 2), np.empty((0, 6)), np.empty((0, 3)))
@@ -74,17 +77,20 @@ def compile_elements(
     dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
     # A subclass may compute other forces.
     compiled_kinds = Gravity, Springs, Torsions, Bushings, Stopped
-    pressed = [row for load in loads if isinstance(load, HingeLoad) for row in load.rows
-               if row.kind == FRICTION and row.constants[3]]  # fmt: skip
+    at_hinges = [load for load in loads if isinstance(load, HingeLoad)]
+    pressed = [row for load in at_hinges for row in load.rows if row.kind == FRICTION and row.constants[3]]
+    known = [load.gravity for load in at_hinges if load.gravity is not None]
     if (
         not all(type(part) in compiled_kinds for part in (*parts, *dampers))
         or not all(type(load) in (Dampers, HingeLoad) for load in loads)
+        or not all(load.is_compiled for load in at_hinges)
+        or not all(np.array_equal(gravity, known[0]) for gravity in known)
         or not (drive is None or type(drive) is Drives)
         or (joints is not None and (joints.rank is not None or pressed))
     ):
         return None
     gravity = read_only(sum((part.acceleration for part in parts if isinstance(part, Gravity)), np.zeros(3)))
-    hinges, moving = arrays_of_hinges(loads, gravity)
+    hinges, moving = arrays_of_hinges(loads)
     drives = () if drive is None else drive.drives
     units = [row.unit for row in moving] + ([] if drive is None else drive.units.tolist())
     others = (Bushings, Stopped)
@@ -239,13 +245,16 @@ class InOneKernel(Equations):
         if not motions:
             return np.empty((1, 0, 3))
         try:
-            # Copied at once: a function may return the same array at all times.
-            values = np.array([[np.array(motion(time), float) for motion in motions] for time in times])
+            # Arrays refuse all but three numbers, but an array for every answer would take longer than the
+            # rest of a step. Both copy at once: a function may return the same array at all times.
+            first = np.array([np.array(motion(times[0]), float) for motion in motions])
+            rest = b"".join([_pack(*motion(time)) for time in times[1:] for motion in motions])
         except Exception:  # Functions of the user's may raise anything.
             return None
-        if values.shape != (len(times), len(motions), 3) or not np.all(np.isfinite(values)):
+        if first.shape != (len(motions), 3):
             return None
-        return np.asarray(values * self.compiled.units)
+        values = np.concatenate([first.ravel(), np.frombuffer(rest)]).reshape(len(times), *first.shape)
+        return np.asarray(values * self.compiled.units) if np.all(np.isfinite(values)) else None
 
     def _phase(self, state: Sequence[Any], time: float, work: Floats) -> Phase:
         """Phase at the end of steps, after work before them."""

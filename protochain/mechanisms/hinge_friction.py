@@ -120,7 +120,7 @@ def friction(model: Assembly, hinges: Sequence[Rubbing]) -> Load:
         HingeRow(FRICTION, hinge.body, hinge.freedom, (hinge.torque, hinge.damping, hinge.speed, hinge.arm))
         for hinge in hinges
     ]
-    return HingeLoad(apply, rows=tuple(rows))
+    return HingeLoad(apply, rows=tuple(rows), computed=apply)
 
 
 def _torques(hinges: Sequence[Rubbing], qd: Floats, forces: Mapping[int, float]) -> Floats:

@@ -107,7 +107,7 @@ class Stop(Named, noun="stop"):
             )
         constants = bound.low, bound.high, bound.stiffness, bound.damping
         rows = (HingeRow(STOP, place, freedom, constants),)
-        load = HingeLoad(bound.resist, rows=rows) if self.damping else None
+        load = HingeLoad(bound.resist, rows=rows, computed=bound.resist) if self.damping else None
         return Acting(bound, load, dissipates=True, inside=True)
 
 

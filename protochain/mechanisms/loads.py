@@ -101,7 +101,7 @@ class HingeTorque(Named, noun="torque"):
             row = HingeRow(TORQUE, place, freedom, (0.0 if callable(value) else float(value),))
             if callable(value):
                 row = row._replace(motion=lambda time: (value(time), 0.0, 0.0))
-            load = HingeLoad(apply, False, (row,))
+            load = HingeLoad(apply, False, (row,), apply)
         return Acting(load=load, inside=True, hinges=(self.hinge,))
 
 

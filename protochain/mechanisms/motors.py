@@ -107,7 +107,8 @@ class Motor(Named, noun="motor"):
             HingeRow(MOTOR, place, freedom, (self.stiffness, self.damping, self.limit), drive.motion, unit)
             for place, freedom, drive, unit in zip(places, freedoms, self.follow.values(), units, strict=True)
         ]
-        load = HingeLoad(apply, rows=tuple(rows), feed_forward=self.feed_forward)
+        gravity = bodies.gravity if self.feed_forward else None
+        load = HingeLoad(apply, rows=tuple(rows), computed=apply, gravity=gravity)
         return Acting(load=load, inside=True, hinges=names)
 
 

@@ -1,14 +1,17 @@
 """Explicit steps in one kernel, against the same steps call by call."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.motion import DormandPrince, Equations, RungeKutta4, StepTooLargeError
+from protochain.mechanics.motion import Applied, DormandPrince, Equations, RungeKutta4, StepTooLargeError
 from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.assemble import Body, Hinge
+from protochain.mechanisms.elements import Acting, Gravity
 from protochain.mechanisms.explicit import InOneKernel
 
 Y = (0, 1, 0)
@@ -104,6 +107,20 @@ def soft(m):
     return m
 
 
+class Wind:
+    """A uniform field, which feed-forward does not know."""
+
+    def bind(self, bodies):
+        return Acting(conservative=Gravity(bodies.tree, np.array([2.0, -1.0, 0.5])))
+
+
+def windy(m):
+    """With an element of the user's that is computed as gravity is, and feed-forward."""
+    m.force("wind", Wind())
+    m.motor("ahead", {"h0": lambda t: (0.3 + 0.5 * t, 0.5, 0.0)}, 5.0, 1.0, True)
+    return m
+
+
 def driven(m):
     """With a hinge whose motion is prescribed."""
     (hinge,) = [hinge for name, hinge in m._parts[Hinge].items() if name in ("A", "h1")]
@@ -140,7 +157,10 @@ def test_a_run_in_one_call_is_its_steps_one_by_one(made, integrator, monkeypatch
         assert run.audit().energy < 1e-4
 
 
-@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
+WINDY = {**MADE, "windy": windy(arm())}
+
+
+@pytest.mark.parametrize("made", WINDY.values(), ids=WINDY)
 @pytest.mark.parametrize("tableau", [CLASSICAL, DORMAND_PRINCE], ids=("rk4", "dp"))
 def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
     system = made.build().system
@@ -211,6 +231,25 @@ def test_what_a_kernel_cannot_know_takes_the_other_way():
         m = four_bar()
         more(m)
         assert not isinstance(m.build().system, InOneKernel)
+
+
+def test_a_load_with_another_function_is_computed_by_calls():
+    model = moving(arm()).build()
+    assert isinstance(model.system, InOneKernel)
+    for named in model.loads:
+        m = arm()
+        m.force("other", replace(named.load, applied=lambda time, q, qd, frames: Applied(torques=-qd)))
+        run = m.build().simulate(0.2, 0.01, RungeKutta4())
+        assert not isinstance(run.model.system, InOneKernel)
+        assert run.work[-1] < 0.0, named.name
+
+
+@pytest.mark.parametrize("target", [lambda t: np.array([t]), lambda t: (t, 0.0)])
+def test_a_torque_that_is_not_a_number_is_refused_from_the_start(target):
+    m = four_bar()
+    m.torque("motor", "A", value=target)
+    with pytest.raises(MechanicsError, match='torque "motor": its value'):
+        m.build().simulate(1.0, 0.01, RungeKutta4())
 
 
 def test_what_fails_is_refused_in_the_same_words():
