@@ -223,7 +223,7 @@ def _once(
     lost, limits = list[str](), (settings[name] for name in _LIMITS)
     with (
         _Frames(trajectory, chain.structure, lost) as frames,
-        terminal.run_progress(*limits, frames if trajectory else None) as watch,
+        terminal.run_progress(*limits, use_positions=frames if trajectory else None) as watch,
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)

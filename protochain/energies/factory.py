@@ -235,7 +235,7 @@ def energy(
             note = "System given by the caller"
             return OpenMMEnergy(copy.deepcopy(system), threads=threads, note=note, settings=settings)
         arguments = (structure, forcefield, solvent, trust_forcefield, cutoff, salt)
-        built = build_system(*arguments) if native_terms is None else partial(build_system, *arguments)
+        built: Any = build_system(*arguments) if native_terms is None else partial(build_system, *arguments)
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
         if solvent == "obc2" and not salt:
             note += "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"
