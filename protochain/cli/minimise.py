@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from protochain.minimisers.minimise_settings import CheckpointSettings, Minimise
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
+    from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure
@@ -211,7 +212,12 @@ def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> Non
     Comparison(solution.chain.structure, (solution,), origin).write_page(path)
 
 
-_LIMITS = ("method", "max_evaluations", "tolerance")
+def _run_progress(
+    settings: Mapping[str, Any], use_positions: Callable[[Any], None] | None = None
+) -> AbstractContextManager["Watcher"]:
+    """Show the progress of a run with these settings."""
+    method, limit, tolerance = settings["method"], settings["max_evaluations"], settings["tolerance"]
+    return terminal.run_progress(method, limit, tolerance, use_positions)
 
 
 def _once(
@@ -220,10 +226,10 @@ def _once(
     """Minimise from the input structure. Write every accepted point to the trajectory."""
     from protochain.minimisers import minimise
 
-    lost, limits = list[str](), (settings[name] for name in _LIMITS)
+    lost: list[str] = []
     with (
         _Frames(trajectory, chain.structure, lost) as frames,
-        terminal.run_progress(*limits, use_positions=frames if trajectory else None) as watch,
+        _run_progress(settings, frames if trajectory else None) as watch,
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)
@@ -283,7 +289,7 @@ def _minimise_often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple[
     """Minimise from many starts. Return the best solution, and entries of its record about all starts."""
     from protochain.minimisers import explore
 
-    with terminal.run_progress(*(settings[name] for name in _LIMITS)) as watch:
+    with _run_progress(settings) as watch:
         search = explore(chain, energy, watch=watch, **settings)
     return search.best, search.overall()
 
