@@ -19,7 +19,6 @@ from typer.core import TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from protochain.cli.conversion import PlainValues
 from protochain.cli.help import Command
 from protochain.cli.options import BAD_INPUT, INTERRUPTED, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
@@ -41,7 +40,7 @@ _LATER = 0.05  # s.
 _ALIASES = {"minimize": "minimise"}
 
 
-class _Commands(PlainValues, TyperGroup):
+class _Commands(TyperGroup):
     """Commands. Each is imported and built on request, as a run needs only one."""
 
     def __init__(self, **settings: Any) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-from protochain.cli.conversion import PlainValues
-
 _FIRST = (
     "output", "method", "methods", "preset", "interface", "reference", "by", "ligands", "report",
     "trajectory", "frames", "scan", "into", "relax", "resume",
@@ -32,7 +30,7 @@ def examples() -> dict[str, list[str]]:
     return {name: [*group] for name, group in groupby(lines, key=lambda line: line.split()[0])}
 
 
-class Command(PlainValues, TyperCommand):
+class Command(TyperCommand):
     """A command whose help has its options in groups, and examples."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:

@@ -12,9 +12,8 @@ WITHOUT = {
     "from protochain.cli import app; app(['info', '--help'], standalone_mode=False)": (
         "protochain.cli.relax", "protochain.cli.minimise", "numpy", "numba", "scipy", "openmm",
     ),
-    # A run converts plain values of options without Pydantic.
     f"from protochain.cli import app; app(['info', {str(SAMPLE)!r}], standalone_mode=False)": (
-        "pydantic", "pandas", "matplotlib", "mdtraj", "rdkit",
+        "pandas", "matplotlib", "mdtraj", "rdkit",
     ),
     "import protochain.minimisers.minimise_structure": (
         "protochain.dynamics.loop", "protochain.mechanics.motion", "pandas",
