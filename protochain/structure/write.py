@@ -393,7 +393,9 @@ def _mmcif(out: gemmi.Structure, models: Sequence[Structure], remarks: _Lines, r
     quote_names(block)
     chemistry = _chemistry(models[0])
     written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
-    labels = dict(zip(models[0].residue_label, written, strict=False))
+    # Written label ids, by label ids of the file. A chain from a sequence has none.
+    filed = models[0].residue_label
+    labels = dict(zip(filed, written, strict=bool(filed)))
     about = records.cif_rows(models[0].header, out, labels, chemistry)
     records.put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
     records.put(block, {records.SPRINGS: records.spring_rows(_springs(models))})

@@ -164,3 +164,9 @@ def test_chains_and_residues_may_be_called_by_any_letter(name, suffix, tmp_path)
 def test_structures_share_the_suffix_that_fits_all():
     assert common_suffix([]) == common_suffix([ring(), ring(chain_id="B")]) == ".pdb"
     assert common_suffix([ring(), ring(chain_id="AB")]) == common_suffix([moved(10000.0)]) == ".cif"
+
+
+def test_label_ids_of_absent_residues_are_refused():
+    """As of a structure made in Python: rows of the header would get the ids of other residues."""
+    with pytest.raises(ValueError, match="shorter"):
+        as_text(replace(ring(), residue_label=(("A", 1),) * 5), ".cif")
