@@ -57,6 +57,7 @@ def from_file(molecule: Molecule, path: Path) -> Floats:
 
 
 def _of_mol2(lines: list[str]) -> list[list[str]]:
+    """Name and charge of each atom."""
     start = next((i for i, line in enumerate(lines) if line.startswith("@<TRIPOS>ATOM")), len(lines)) + 1
     end = next((i for i in range(start, len(lines)) if lines[i].startswith("@")), len(lines))
     fields = [line.split() for line in lines[start:end] if line.strip()]

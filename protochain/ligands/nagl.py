@@ -206,6 +206,7 @@ def _resonant_charges(mol: Any) -> Floats:
 
 
 def _lowest(form: Form, group: list[Any]) -> list[Form]:
+    """Forms of lowest energy of conjugated atoms."""
     # Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
     # donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
     # lowest one or two moves lead to a lower one, and at one energy from each lowest to all.

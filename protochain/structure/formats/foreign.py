@@ -68,6 +68,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
 def _is_charmm_prmtop(topology: Path) -> bool:
     """Return whether an Amber topology has CHARMM's force field, marked by a CTITLE flag."""
     with regular(topology).open(encoding="utf-8", errors="replace") as file:
+        # The title is the first flag, after the version.
         return any(line.startswith("%FLAG CTITLE") for line in islice(file, 10))
 
 

@@ -371,7 +371,7 @@ def _dcd_frame_count(path: Path) -> int:
         head = file.read(12)
     order = "little" if head[:4] == b"T\0\0\0" else "big"
     stated = int.from_bytes(head[8:12], order)  # type: ignore[arg-type]  # one of the two
-    return stated if stated < 1 << 31 else 0
+    return stated if stated < 1 << 31 else 0  # From there on the sign bit is set.
 
 
 @contextmanager

@@ -113,10 +113,11 @@ class _Placement:
             if len(bonded) != 1 or len(self.neighbours[parent]) <= 2 or n > (2 if planar else 3):
                 turning.append(parent)
                 continue
-            # Behind a bond with heavy atoms at one end only, hydrogens that were placed before count.
+            # Dihedrals start from a heavy atom behind the bond. Without one they start from a hydrogen, if an
+            # earlier parent has got it: such a parent is a kind of one, to be placed in its turn.
             behind = self._behind(parent, bonded[0])
-            single = parent if behind < 0 or self.element[behind] == "H" else -1
-            kinds.setdefault((planar, n, single), []).append([parent, bonded[0], *hydrogens])
+            lone_parent = parent if behind < 0 or self.element[behind] == "H" else -1
+            kinds.setdefault((planar, n, lone_parent), []).append([parent, bonded[0], *hydrogens])
         for (planar, n, _), rows in kinds.items():
             index, turns = np.array(rows), np.array([0.0, np.pi])[-n:] if planar else _STAGGERED[:n]
             angle = _TRIGONAL if planar else _TETRAHEDRAL

@@ -154,9 +154,11 @@ class _Molecules:
 
 
 def touching_image(tree: KDTree, x: Floats, lattice: Floats, contact: float) -> Floats | None:
-    """Return how many of each lattice vector, a row, to add to x (n, 3) so that it touches other molecules.
+    """Return how many of each lattice vector (3,) to add to a molecule so that it touches others.
 
-    Zeros if the molecule touches the others unmoved, or None if no image is within the contact distance.
+    The molecule is at x (n, 3), the others are in the tree, and rows of the lattice (3, 3) are its vectors,
+    all in one unit. Zeros if the molecule touches the others unmoved, or None if no image is within the
+    contact distance.
     """
     if np.min(tree.query(x)[0]) < contact:
         return np.zeros(3)

@@ -28,8 +28,8 @@ _BRIDGED_NAME = "CYX"  # Amber's name of a cysteine in a disulfide.
 _NO_PKA: Mapping[int, float] = {}
 """pKa of single residues. Without entries, the pKa of the kind of residue applies."""
 _UNPLACED = [float("nan")] * 3
-_PER_CHAIN = 9000  # Residues per chain of the PDB text, and the names of its chains.
-_CHAINS = ascii_letters + digits
+_PER_CHAIN = 9000  # Residues per chain of the PDB text.
+_CHAINS = ascii_letters + digits  # Names of the chains of the PDB text.
 _GROUPS = {"ASP", "GLU", "HIS", "CYS", "LYS"}
 
 

@@ -30,7 +30,8 @@ _NITROGEN = {
 _OXYGEN = {
     "peptide": (1.48, 0.22), "amide": (1.44, 0.27), "carboxyl": (1.40, 0.07), "hydroxyl": (1.43, 0.12),
 }  # fmt: skip
-_SULPHUR = {"SG": (2.15, 0.44), "SD": (1.74, 0.40)}  # Radius, angstrom, and depth of each kind of atom.
+_SULPHUR = {"SG": (2.15, 0.44), "SD": (1.74, 0.40)}
+"""Radius, angstrom, and depth of each kind of carbon, nitrogen, oxygen and sulphur."""
 _BRANCHED = {("VAL", "CB"), ("ILE", "CB"), ("THR", "CB"), ("LEU", "CG")}
 _METHYL = {
     ("ALA", "CB"), ("VAL", "CG1"), ("VAL", "CG2"), ("LEU", "CD1"), ("LEU", "CD2"), ("ILE", "CD1"),
