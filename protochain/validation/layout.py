@@ -31,7 +31,7 @@ class Layout(NamedTuple):
 
 def positions(structure: Structure, x: Floats | None) -> Floats:
     """(na, 3) float, nm: positions to measure, checked, or the structure's own."""
-    return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nanometer")
 
 
 @per_structure

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from fixtures.molecules import molecule, shaken, turned
 from fixtures.samples import STRUCTURES, load, shared
+from openmm import unit
 
 import protochain as pc
 from protochain.cli import app
@@ -42,6 +43,7 @@ def test_measures_are_numbers_under_their_keys(spoilt):
     assert (found["cis_peptides"], found["inverted_stereocentres"], found["cbeta_outliers"]) == (1, 1, 2)
     # At other positions of the same structure, and of a file.
     assert measures(load("1l2y.pdb"), spoilt.positions) == found
+    assert measures(load("1l2y.pdb"), spoilt.positions * unit.nanometer) == found
     assert measures(STRUCTURES / "1l2y.pdb") == clean
     assert measures(spoilt, np.full_like(spoilt.positions, np.nan)) == dict.fromkeys(MEASURES)
     with pytest.raises(pc.ProtochainError, match="x has shape"):
