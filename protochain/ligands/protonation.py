@@ -71,8 +71,8 @@ Acids (1979). [13] Brauner-Osborne et al., J. Med. Chem. 43:2609 (2000). [14] Ko
 Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972). [18] Sjoback, Nygren, Kubista, Spectrochim.
 Acta A 51:L7 (1995): 6.43. [19] Meloun, Ferencikova, Netolicka, Pekarek, J. Chem. Eng. Data 56:3848 (2011):
 10.74 of ibandronate. The abstracts of [18] and [19] were read. Values of [8] to [17] could not be verified.
-The pKa of the imides and methylenes of ATP alone is 7.7 and 8.4. In sites they hold magnesium, as ATP, and
-have -4.
+Imide and methylene analogues of ATP have a last pKa of 7.7 and 8.4 without a metal. In sites they hold
+magnesium and have the charge -4, as ATP, whose rule they share.
 """
 _SIGMA = tuple(
     (row["smarts"], (float(row["ortho"]), float(row["meta"]), float(row["para"])))
