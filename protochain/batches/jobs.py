@@ -351,10 +351,10 @@ def _paths(source: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
             raise ProtochainError(
                 f"{source}: is the output folder or inside it; choose another output folder"
             )
+        candidates = (path for path in Path(source).rglob("*") if format_of(path))
         # A listed path that does not exist is a broken link.
-        files = (path for path in Path(source).rglob("*") if path.is_file() or not path.exists())
-        matches = sorted(path for path in files if format_of(path) and not _is_inside(path, output))
-        yield from ((path, Path(source)) for path in matches)
+        matches = sorted(path for path in candidates if path.is_file() or not path.exists())
+        yield from ((path, Path(source)) for path in matches if not _is_inside(path, output))
     elif not Path(source).exists() and _GLOB & set(source):
         names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not names:

@@ -15,6 +15,7 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
+from protochain.batches import jobs as of_jobs
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, origin, read_names
 from protochain.core import defaults
 from protochain.relaxation import RelaxSettings
@@ -282,6 +283,15 @@ def test_structures_of_a_folder_are_those_with_their_suffixes(here):
     # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
     assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
     assert find_jobs(["b.pdb"], BatchSettings())[0].path == here / "b.pdb"
+
+
+def test_other_files_of_a_folder_are_not_looked_at(tmp_path, monkeypatch):
+    """A look may be slow, or refused."""
+    for name in ("a.pdb", "notes.txt", "run.dcd"):
+        (tmp_path / name).touch()
+    seen = []
+    monkeypatch.setattr(Path, "is_file", lambda path: bool(seen.append(path.name)) or True)
+    assert [path.name for path, _ in of_jobs._paths(str(tmp_path), None)] == seen == ["a.pdb"]
 
 
 def test_patterns_are_of_files_in_order(here):
