@@ -96,6 +96,7 @@ def test_an_energy_from_outside_is_its_own_judge_and_says_so(said):
     assert not begun
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
     block = OWN[1].split("\n\npc.minimise")[0]
     (tmp_path / "mymodule.py").write_text(f"import numpy as np\n{block}\n")

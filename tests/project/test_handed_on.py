@@ -416,6 +416,7 @@ def test_an_energy_without_names_is_brought_too():
         pc.energy_terms(pulled)
 
 
+@pytest.mark.usefixtures("worker_processes")
 def test_frames_of_other_processes_bring_their_energy():
     frame = frames(solution(), workers=1)
     expected = by_openmm("own", frame.structure.positions)

@@ -273,6 +273,8 @@ def beside_peptide(folder, sequence, molecules, bonds):
 
 AXIAL = {"AZI": ("N1", "N2", 2.05, 120.0), "ENC": ("C", "N", 1.95, 178.0), "NBN": ("C", "N", 1.95, 165.0)}
 """Azide, and isocyanides of ethyl and butyl: donor, the next atom, Fe-donor (angstrom) and its angle."""
+QUICK_AXIAL = ("AZI", True), ("ENC", False)
+"""Ligands of the fast tests, and whether their files state the bond."""
 
 
 def heme_with(folder, name, is_stated):
@@ -346,9 +348,9 @@ def assert_held(path, donors, metal, length):
 @pytest.mark.parametrize(
     ("name", "is_stated"),
     [
-        ("AZI", True),
-        ("ENC", False),
-        *(pytest.param("NBN", each, marks=pytest.mark.slow) for each in (True, False)),
+        pytest.param(name, each, marks=() if (name, each) in QUICK_AXIAL else pytest.mark.slow)
+        for name in AXIAL
+        for each in (True, False)
     ],
 )
 def test_azide_and_isocyanides_stay_at_the_iron_of_heme(tmp_path, name, is_stated):
