@@ -62,7 +62,8 @@ def modes(
     from protochain.structure.formats.trajectory import check_trajectory
     from protochain.structure.matching import structure_to_measure
 
-    at_least(1)(modes, "modes"), one_of(METHODS)(method, "method")
+    at_least(1)(modes, "modes")
+    one_of(METHODS)(method, "method")
     temperature = positive(temperature, "temperature", "kelvin")
     amplitude = positive(amplitude, "amplitude", "angstrom")
     stem, suffix = options.named_after(source)

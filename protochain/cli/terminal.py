@@ -213,8 +213,8 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
     progress = _Progress(name, n_steps)
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
-        elapsed, n_steps = monotonic() - progress.began, row["step"] - progress.first
-        rate = 86.4 * time_step * n_steps / elapsed if elapsed and progress.first else 0.0
+        elapsed, n_done = monotonic() - progress.began, row["step"] - progress.first
+        rate = 86.4 * time_step * n_done / elapsed if elapsed and progress.first else 0.0
         speed = f", {rate:.1f} ns/day" if rate else ""
         progress.show(row["step"], f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{speed}")
 

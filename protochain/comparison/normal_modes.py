@@ -118,10 +118,10 @@ class Inertia:
         log_det_tree = multibody.log_det_mass(self.chain.tree, self.pose.frames)
         if not len(self._root):
             return log_det_tree
-        whole_mass, root = (
+        log_det_whole, log_det_root = (
             float(np.linalg.slogdet(matrix)[1]) for matrix in (self._rigid_momenta[1], self.rigid[self._root])
         )
-        return log_det_tree - whole_mass + 2.0 * root
+        return log_det_tree - log_det_whole + 2.0 * log_det_root
 
 
 @check_arguments(k=at_least(1), method=one_of(METHODS))
@@ -258,8 +258,9 @@ def _dense(torques: Torques, inertia: Inertia, k: int) -> _Eigenpairs:
     lowest = vectors[:, :k]
     misfit = stiffness @ lowest - mass @ lowest * values[:k]
     largest, log_det = float(values[-1]), _log_det(stiffness)
-    data: dict[str, Any] = {"largest": largest, "products": 0, "spectrum": values, "log_det": log_det}
-    return _with_errors(values[:k], lowest, misfit, norm, **data)
+    return _with_errors(
+        values[:k], lowest, misfit, norm, largest=largest, products=0, spectrum=values, log_det=log_det
+    )
 
 
 def _log_det(stiffness: Floats) -> float | None:

@@ -6,7 +6,6 @@ adds P^T E_BB P + P^T E_Bx J + J^T E_xB P + sum E_B B'' dI dI^T with P = dB/dq, 
 Bonded terms only change with the hinges between their atoms, so that many hinges may turn at once.
 """
 
-from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -57,7 +56,8 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     with ThreadPoolExecutor(energy.threads) as pool:
 
         def share(do: Callable[[Any], None], parts: Any) -> None:
-            deque(pool.map(do, parts), maxlen=0)
+            for _ in pool.map(do, parts):
+                pass
 
         if terms.solvent is not None:
             born = energy.born_radii(at.x)[by_body]

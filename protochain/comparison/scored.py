@@ -48,9 +48,11 @@ _FIRST = (
 
 
 def _ranking(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
-    names = ({"rank": k, "file": Path(row["file"]).name} for k, row in enumerate(rows, 1))
     keys = ["interface", *scores]
-    cells = [{**name, **{key: row[key] for key in keys}} for name, row in zip(names, rows, strict=True)]
+    cells = [
+        {"rank": place, "file": Path(row["file"]).name, **{key: row[key] for key in keys}}
+        for place, row in enumerate(rows, 1)
+    ]
     return table_data(pd.DataFrame(cells, columns=["rank", "file", *keys]).infer_objects(), _FIRST)
 
 

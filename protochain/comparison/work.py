@@ -56,7 +56,7 @@ def _grid(costs: pd.Series) -> np.ndarray:
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
     """Spread of each method over its solution and its further runs, one row per method."""
     runs = [[s, *(r for r in repeats if r.method == s.method)] for s in solutions]
-    return pd.DataFrame([{column.key: column.value(of) for column in SPREAD_COLUMNS} for of in runs])
+    return pd.DataFrame([{column.key: column.value(group) for column in SPREAD_COLUMNS} for group in runs])
 
 
 def _farthest_ends(runs: Sequence[Solution]) -> float:

@@ -108,11 +108,7 @@ _SCORES_OF = {when: attrgetter(f"interface_{when}.scores") for when in ("start",
 INTERFACE_COLUMNS = (
     Column("interface", lambda r: r.settings.interface),
     *(
-        Column(
-            interface_column(key, when),
-            partial(entry_of, attrgetter(f"interface_{when}.scores"), key),
-            kind=number(score),
-        )
+        Column(interface_column(key, when), partial(entry_of, _SCORES_OF[when], key), kind=number(score))
         for key, score in SCORES.items()
         for when in ("start", "end")
     ),

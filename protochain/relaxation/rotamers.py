@@ -42,8 +42,8 @@ class Rotamers:
         before, after = np.rint(np.rad2deg(wrap_angle(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
             return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
-        ends = (enumerate(degrees.tolist(), 1) for degrees in (before, after))
-        old, new = (" ".join(f"chi{k} {value}" for k, value in end) for end in ends)
+        ends = before.tolist(), after.tolist()
+        old, new = (" ".join(f"chi{k} {value}" for k, value in enumerate(end, 1)) for end in ends)
         return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
 
 
