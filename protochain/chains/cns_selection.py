@@ -34,10 +34,10 @@ def parse_selection(text: str) -> Selection:
 
 
 def _any_of(tokens: list[str]) -> tuple[Selection, list[str]]:
-    return _joined(tokens, "or", np.logical_or, lambda terms: _joined(terms, "and", np.logical_and, _factor))
+    return _group(tokens, "or", np.logical_or, lambda rest: _group(rest, "and", np.logical_and, _factor))
 
 
-def _joined(
+def _group(
     tokens: list[str], word: str, join: np.ufunc, read: Callable[[list[str]], tuple[Selection, list[str]]]
 ) -> tuple[Selection, list[str]]:
     """Selection of the parts that a word joins, and the tokens after them."""

@@ -158,7 +158,7 @@ class Displacements(Value):
 
 
 Coordinates = Distances | Centroids | Dihedrals | Displacements
-"""Restrained coordinates of one form: values (m,) at positions (na, 3), and forces of slopes (m,)."""
+"""Restrained coordinates of one form: values (m,), nm or rad, at x (na, 3), and forces of slopes (m,)."""
 FORMS: tuple[type[Coordinates], ...] = (Distances, Centroids, Dihedrals, Displacements)
 
 

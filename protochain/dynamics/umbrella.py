@@ -149,7 +149,7 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     if np.isinf(circle) and at[0] < 0.0:
         raise refusal("centres", f"{at[0]:g}", "give distances of 0 or more")
     gaps = np.diff(at, append=at[0] + circle)
-    # Nearer centres count as equal.
+    # Nearer centres, in degrees or angstrom, count as equal.
     if np.min(gaps) < 1e-6:
         near = int(np.argmin(gaps))
         pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"

@@ -447,6 +447,7 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
+    """Return the first force of a kind, added if necessary."""
     for force in system.getForces():
         if isinstance(force, kind):
             return force

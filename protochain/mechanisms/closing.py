@@ -125,7 +125,7 @@ def close_loops(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
 
 
 def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Closing]]:
-    """Yield the closings with their rotations in steps from those as built."""
+    """Yield the closings with their rotations in steps, at most 0.5 rad, from those as built."""
     # The right angles of a rigid joint hold at other rotations, too, which Newton's method finds from afar.
     turned: dict[str, tuple[Floats, Floats]] = {}
     for joint in closings:

@@ -245,8 +245,8 @@ class _Simulation:
         # Perhaps there was more before: this row may be a turning point.
         run = Run(self.model, self.rows, (), self.start)
         largest = run.in_motion
-        # Energy that forces may lose in displacements that the integrator's tolerance allows, if bodies creep
-        # or rest more than they move, as a block that friction holds on a slope: 30 tolerances a step.
+        # Forces may lose energy in displacements of 30 tolerances of the integrator per step.
+        # This counts if bodies creep or rest more than they move, as a block that friction holds on a slope.
         steps = (time - self.start.time) / self.time_step
         work = float(np.sum(self.start.effort * self.model.tree.units))
         lost = 30.0 * getattr(self.integrator, "tolerance", 0.0) * steps * work

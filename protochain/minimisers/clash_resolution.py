@@ -80,8 +80,8 @@ def torsion_clash_stages(
 ) -> list[Stage]:
     """Stages that resolve clashes in torsions, then weaken springs in the force field step by step."""
     stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_TORSION_TORQUE, tolerance), restraint)
-    held = [_with_springs(stage, strength) for strength in SPRINGS_IN_TORSIONS]
-    return [_soft_stage(space, _soft_terms(space.chain.structure), 1.0), *held] if overlap else held
+    stages = [_with_springs(stage, strength) for strength in SPRINGS_IN_TORSIONS]
+    return [_soft_stage(space, _soft_terms(space.chain.structure), 1.0), *stages] if overlap else stages
 
 
 def all_atom_clash_stages(

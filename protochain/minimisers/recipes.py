@@ -152,17 +152,14 @@ class Recipe:
             check_dihedrals(energy, f"method {self.name!r}")
 
     def plan(
-        self,
-        chain: Chain,
-        energy: Energy,
-        reduced: Energy,
-        tolerance: float,
-        hold: Hold,
-        seed: int,
+        self, chain: Chain, energy: Energy, reduced: Energy, tolerance: float, hold: Hold, seed: int,
         max_torque: float = 0.0,
-    ) -> list[Stage]:
-        """Stages of this recipe."""
-        # ``reduced``: Without terms that are constant in the chain. ``max_torque``: Largest at the start.
+    ) -> list[Stage]:  # fmt: skip
+        """Stages of this recipe.
+
+        ``reduced`` is the energy without terms that are constant in the chain. ``max_torque`` is the largest
+        torque at the start.
+        """
         terms = near_terms(energy)
         torsions, atoms = spaces(chain, terms)
         restraints = hold.restraints(chain.structure)

@@ -67,7 +67,7 @@ class Terms:
     def is_proper(self) -> NDArray[np.bool_]:
         """(n,) bool: whether the four atoms of each torsion are bonded in sequence."""
         atoms = self.bonded["torsions"].atoms
-        return np.asarray(np.all([self._near(*atoms[:, k : k + 2].T) for k in range(3)], axis=0))
+        return np.asarray(np.all([self._are_bonded(*atoms[:, k : k + 2].T) for k in range(3)], axis=0))
 
     @cached_property
     def centres(self) -> Integers:
@@ -77,12 +77,12 @@ class Terms:
         atoms = np.concatenate([impropers, self.bonded["impropers"].atoms])
         centres = atoms[:, 1:3].copy()
         for k in range(4):
-            is_near = [self._near(atoms[:, k], atoms[:, partner]) for partner in range(4) if partner != k]
-            is_centre = np.all(is_near, axis=0)
+            bonded = [self._are_bonded(atoms[:, k], atoms[:, other]) for other in range(4) if other != k]
+            is_centre = np.all(bonded, axis=0)
             centres[is_centre] = atoms[is_centre][:, [k, k]]
         return centres
 
-    def _near(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
+    def _are_bonded(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
         bonds = np.sort(self.bonded["bonds"].atoms, axis=1) @ [self.n_atoms, 1]
         return np.isin(self.n_atoms * np.minimum(first, second) + np.maximum(first, second), bonds)
 

@@ -48,8 +48,8 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     """Factorise H at one pose, by one inward sweep."""
     # Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
     n = tree.n_bodies
-    # Each refinement gains about as many digits as eps over this leaves. It is of bodies of a
-    # hundred-thousandth of a bond.
+    # Such squared radii of gyration are of bodies a hundred-thousandth of the mechanism wide. Each refinement
+    # gains about as many digits as eps over this leaves.
     thin = _thinness(tree) <= 1e-10
     if np.any(thin):
         raise BodyError(
