@@ -200,12 +200,9 @@ def prepare_chain(chain: Chain, settings: SimulationSettings) -> Chain:
 
 
 def _prepare(
-    original: Chain,
-    energy: Energy,
-    q: Floats | None,
-    settings: SimulationSettings,
+    original: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings,
     constants: Mapping[str, Floats],
-) -> _Run:
+) -> _Run:  # fmt: skip
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     # A resumed run has the constants from its start, which may differ from those at q.
     coordinates = original.q0 if q is None else finite(q, (original.n_q,), "q")

@@ -18,15 +18,9 @@ _MOST = 100_000
 
 
 def in_substeps(
-    substep: Callable[[Phase, float], Tried],
-    system: Equations,
-    at: Phase,
-    time_step: float,
-    tolerance: float,
-    order: int,
-    least: float = 1e-9,
-    n_most: int | None = None,
-) -> Phase:
+    substep: Callable[[Phase, float], Tried], system: Equations, at: Phase, time_step: float,
+    tolerance: float, order: int, least: float = 1e-9, n_most: int | None = None,
+) -> Phase:  # fmt: skip
     """Advance by one time step, in substeps as the tolerance requires, none shorter than ``least`` of it."""
     start, elapsed, part = at.time, 0.0, time_step
     cause, fault = "", None
