@@ -158,15 +158,17 @@ def _print_changes(structures: Sequence[tuple[Path, "Structure"]], warnings: Seq
     if len(structures) == 1:
         options.print_changes(*structures[0], warnings=warnings)
         return
-    if changed := sum(bool(structure.repairs) for _, structure in structures):
-        tell(Kind.READ, f"{changed} of {len(structures)} structures changed; --verbose lists the changes")
+    changed = [(name, structure.repairs) for name, structure in structures if structure.repairs]
+    if changed and not is_verbose():
+        tell(Kind.READ, f"{len(changed)} of {len(structures)} structures changed; --verbose lists changes")
     changes = [
         f"{name}: {change}"
-        for name, structure in structures
-        for change in summarise(
-            structure.repairs if is_verbose() else filter(needs_action, structure.repairs), options.as_option
-        )
+        for name, repairs in changed
+        for change in summarise(repairs if is_verbose() else filter(needs_action, repairs), options.as_option)
     ]
+    if is_verbose():
+        tell(Kind.CHANGE, *changes)
+        changes.clear()
     warn([*changes, *warnings])
 
 
