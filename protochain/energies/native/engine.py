@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import openmm
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
@@ -52,11 +53,6 @@ class NativeEnergy:
     """
 
     engine, device, is_exact = "native", "cpu", True
-    system = property(lambda self: self.by_openmm.system, doc="The OpenMM System.")
-    fingerprint = property(lambda self: self.by_openmm.fingerprint, doc="SHA-256 of the System.")
-    reference = property(
-        lambda self: self.by_openmm.reference, doc="The same energy on OpenMM's Reference platform."
-    )
 
     def __init__(
         self,
@@ -96,6 +92,21 @@ class NativeEnergy:
         """Rebuild the energy, without the neighbour lists of earlier evaluations."""
         rigid = None if self._full is None else (self._layout.groups, self._full[3])
         return _rebuild, (self.by_openmm, self.threads, self.opening, rigid)
+
+    @property
+    def system(self) -> openmm.System:
+        """The OpenMM System."""
+        return self.by_openmm.system
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the System."""
+        return self.by_openmm.fingerprint
+
+    @property
+    def reference(self) -> OpenMMEnergy:
+        """The same energy on OpenMM's Reference platform."""
+        return self.by_openmm.reference
 
     @property
     def reason(self) -> str:
