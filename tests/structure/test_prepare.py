@@ -9,6 +9,7 @@ from fixtures.drafts import protonated
 from fixtures.repairs import noted
 
 from protochain.cli.options import as_option
+from protochain.core.errors import Argument
 from protochain.structure.molecule.member import Member, atom
 from protochain.structure.molecule.repairs import KEEP_ALL, Kind, Repair, summarise
 from protochain.structure.molecule.residues import Residue
@@ -72,7 +73,8 @@ def repair(kind, place=("A", "1", "LYS"), **facts):
 def test_every_repair_is_told_once_alone_or_in_a_group():
     hydrogens = Repair(Kind.HYDROGENS_ADDED, {"count": 12, "ph": 7, "present": 0})
     last, first = Residue("A", "3", "SER"), Residue("", "5A", "GLY")
-    gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
+    caps = Argument("cap", "breaks")
+    gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0, "caps": caps})
     waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": KEEP_ALL})
     lost = [
         repair(Kind.ALTERNATES, ("A", "4", "SER"), used="A", occupancy=0.6, others=("SER B",)),
@@ -93,9 +95,9 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
         str(hydrogens),
     )
     assert summarise(()) == () and summarise([waters, waters]) == (str(waters),)
-    assert summarise([gap, gap])[0].startswith(
-        "split at 2 gaps in the chains, with charged termini: A:3-5A (5.0"
-    )
+    (gaps,) = summarise([gap, gap], as_option)
+    assert gaps.startswith("split at 2 gaps in the chains, with charged termini: A:3-5A (5.0")
+    assert "--cap breaks adds caps" in gaps and 'cap="breaks" adds caps' in str(gap)
 
 
 def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():

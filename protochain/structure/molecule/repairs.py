@@ -136,7 +136,7 @@ class Kind(Enum):
     TORN = "the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond"
     GAP = Words(
         "chain {last.chain_name} is broken between {last.number} and {first.number} ({length:.1f} angstrom): "
-        "split there, with charged termini; to avoid it, model the missing residues",
+        "split there, with charged termini; {caps} adds caps, or model the missing residues",
         rank=Rank.GAP,
     )
     CAP_AT_BREAK = Words(
@@ -451,7 +451,7 @@ def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) ->
         gaps = [f"{last.place}-{first.number} ({length:.1f} angstrom)" for last, first, length in facts]
         return (
             f"split at {len(gaps)} gaps in the chains, with charged termini: {abridge(gaps, _SHOWN)}; "
-            "to avoid it, model the missing residues"
+            f"{render(alike[0].facts['caps'])} adds caps, or model the missing residues"
         )
     places = [str(repair.facts["residue"]) for repair in alike]
     return f"{change} in {len(places)} residues: {abridge(places, _SHOWN)}"

@@ -232,7 +232,8 @@ def _report_break(draft: Draft, last: Member, first: Member) -> Changes:
             Argument("strict", True),
         )
     goes_on = _goes_on(last, first)
-    yield Repair.of(Kind.GAP, last=last.residue, first=first.residue, length=gap, goes_on=goes_on)
+    caps = Argument("cap", "breaks" if goes_on else "ends")
+    yield Repair.of(Kind.GAP, last=last.residue, first=first.residue, length=gap, goes_on=goes_on, caps=caps)
 
 
 def _goes_on(last: Member, first: Member) -> bool:
