@@ -69,12 +69,14 @@ def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, expo
 
     Parameters
     ----------
-    stiffness, exponent : float
-        As of :class:`Law`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
         Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
     speed : float
         Speed of approach v for which it is exact. Slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -90,10 +92,14 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
 
     Parameters
     ----------
-    stiffness, speed, exponent : float
-        As of :func:`lankarani_nikravesh`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
         Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+    speed : float
+        Speed of approach v for which it is exact. Slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------

@@ -382,13 +382,8 @@ def test_rules_mend_what_the_table_of_sites_has_not(smiles, charge):
     assert at_ph(sources.read(smiles), 7.0)[0].charge == charge
 
 
-def known():
-    with protonation._KNOWN.open() as lines:
-        return list(csv.DictReader(lines))
-
-
 def test_the_table_of_net_charges_decides_and_rules_alone_give_almost_all(monkeypatch):
-    rows = known()[::4]
+    rows = protonation._rows("net_charges.csv")[::4]
     with_table = [at_ph(sources.read(row["smiles"]), 7.0)[0].charge for row in rows]
     assert with_table == [int(row["charge"]) for row in rows]
     monkeypatch.setattr(protonation, "net_charges", dict)
@@ -398,7 +393,7 @@ def test_the_table_of_net_charges_decides_and_rules_alone_give_almost_all(monkey
 
 @pytest.mark.slow
 def test_all_of_the_table_of_net_charges_can_be_reached(monkeypatch):
-    rows = known()
+    rows = protonation._rows("net_charges.csv")
     molecules = [sources.read(row["smiles"]) for row in rows]
     assert [protonation.skeleton(each) for each in molecules] == [row["skeleton"] for row in rows]
     assert len({row["skeleton"] for row in rows}) == len(rows)
