@@ -12,6 +12,7 @@ from fixtures.samples import STRUCTURES, chain, load, shared
 from MDAnalysis.analysis.dihedrals import Janin, Ramachandran
 
 import protochain as pc
+from protochain.chains.chain import pose
 from protochain.chains.hinges import find_hinges
 from protochain.comparison.dihedral_scan import energy_map
 
@@ -108,6 +109,17 @@ def test_a_map_shows_energies_above_the_lowest_point_wherever_it_is():
     # Contours every 5 kJ/mol from the lowest: its region is of the first colour.
     filled = axes.collections[0]
     assert filled.levels[[0, 1, -1]].tolist() == [0.0, 5.0, 60.0] and filled.zmin == 0.0
+
+
+def test_a_relaxed_scan_moves_the_selected_atoms_only():
+    """Only phi turns with the scanned psi: the result is the lowest energy along phi."""
+    s = load("ala10.pdb")
+    c = pc.build_chain(s, "phi psi", move="resid 5")
+    e = pc.energy(s, solvent="vacuum")
+    (relaxed,) = pc.scan(c, e, {"psi A:5": [-30.0]}, relax=True)["energy_kj_mol"]
+    phi = s.dihedrals()["phi"][4]
+    turned = (pose(c, c.set({"psi A:5": -30.0, "phi A:5": phi + turn})) for turn in np.arange(0.0, 80.0, 0.2))
+    assert 0.0 <= min(e(at.x)[0] for at in turned) - relaxed < 0.01
 
 
 def test_a_relaxed_scan_is_lower_and_keeps_the_dihedral():

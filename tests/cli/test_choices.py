@@ -113,7 +113,7 @@ def test_what_is_done_is_written_when_a_later_model_cannot_be_used(protochain, t
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--model", "2-4"], "has no model 4; its models are 2, 3, 7"),
+        (["--model", "2-4", "-o", "o.pdb"], "three.pdb: has no model 4; its models are 2, 3, 7"),
         (["--model", "2-3", "--trace", "t.csv"], "applies to a single model only"),
         (["--model", "2-3", "--report", "r.html"], "applies to a single model only"),
         (["--one-file"], "one-file requires several models, as by --model all"),
