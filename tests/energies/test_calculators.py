@@ -12,7 +12,7 @@ from fixtures.samples import STRUCTURES
 from fixtures.tolerances import BY_DIFFERENCES, SUM_OF_TERMS
 
 import protochain as pc
-from protochain.energies import calculators
+from protochain.energies import calculators, requested
 from protochain.energies.calculators import CALCULATORS, Calculator
 from protochain.ligands.energy import terms
 
@@ -226,3 +226,10 @@ def test_xtb_of_a_ligand_is_minimised(complexed):
     assert e.parts(complexed.positions)[0]["xtb"] == pytest.approx(2625.4996394799 * hartree, rel=1e-8)
     r = pc.minimise(complexed, e, "lbfgs", max_evaluations=5)
     assert r.end.energy < r.start.energy
+
+
+def test_a_named_calculator_gets_the_arguments_of_its_caller(monkeypatch, peptide):
+    calls, by_force_field = [], pc.energy(peptide, solvent="vacuum")
+    monkeypatch.setattr(requested, "energy", lambda _, **arguments: calls.append(arguments) or by_force_field)
+    assert requested.as_energy("xtb", peptide, solvent="vacuum", threads=1) is by_force_field
+    assert calls == [{"calculator": "xtb", "solvent": "vacuum", "threads": 1}]

@@ -73,6 +73,15 @@ def test_a_force_field_of_the_package_is_taken_by_its_name():
     assert not np.array_equal(default[0].bonds.parameters, default[1].bonds.parameters)
 
 
+def test_names_stay_unique_if_the_model_uses_a_name_of_a_hydrogen():
+    """The carbon is H1 in the model, and H1X is another hydrogen's name already."""
+    methanol = replace(sources.read("CO"), names=("C1", "O1", "H1", "H1X", "H3", "H4"))
+    renamed = matching.copy_names(
+        methanol, [6, 8], ("H1", "O1"), np.array([[0.0, 0.0, 0.0], [0.143, 0.0, 0.0]])
+    )
+    assert renamed.names[:2] == ("H1", "O1") and len({*renamed.names}) == 6
+
+
 @pytest.mark.skipif(not COMPLEXES.exists(), reason="needs ../shared/complexes")
 def test_terms_are_those_of_the_toolkit_for_all_74():
     with (COMPLEXES / "terms.csv").open() as lines:

@@ -513,3 +513,12 @@ def test_angles_of_more_than_a_turn_are_asked_about(caplog):
     assert not caplog.records
     pendulum(q=45.0).build()
     assert 'hinge "pin": its q 45 is more than a turn: angles are radians' in caplog.text
+
+
+@pytest.mark.parametrize("key", ["position", "rotation", "velocity", "spin"])
+def test_a_start_of_a_body_that_a_hinge_moves_is_refused_by_name(key):
+    m = Mechanism(gravity=DOWN)
+    m.body("rod", 1.0, inertia=1.0, **{key: np.eye(3) if key == "rotation" else (0.0, 0.0, 1.0)})
+    m.hinge("pin", "world", "rod", axis=(0, 1, 0))
+    with pytest.raises(MechanicsError, match=f'body "rod": {key} applies to free bodies only'):
+        m.build()
