@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from fixtures.samples import chain, energy, load, shared, still
+from fixtures.tolerances import LEFT_OUT
 
 import protochain as pc
 from protochain.chains.articulate import turned_atoms
+from protochain.minimisers.stages import Stage, moving_part
 from protochain.relaxation.repack import repack_side_chains
 from protochain.structure.select import moving_mask, select
 
@@ -78,6 +80,20 @@ def test_what_selects_nothing_is_refused_wherever_it_is_given():
     kept = haem.residue_name[haem.atom_residue[haem.obstacle]][0]
     with pytest.raises(pc.ProtochainError, match="selects only molecules that stand still"):
         moving_mask(haem, f"resname {kept}")
+
+
+def test_a_stage_of_moving_atoms_omits_the_terms_of_the_fixed_atoms():
+    """Forces on the moving atoms and differences of energies are those of all terms."""
+    s, e = load("ala10.pdb"), energy("ala10.pdb")
+    moving = select(s, "resid 5")
+    stage = moving_part(Stage(None, None, e, 1.0), moving)
+    fewer = stage.fit(stage, s.positions).energy
+    assert fewer.left_out and not e.left_out
+    x = s.positions + 0.001 * moving[:, None]
+    (before, _), (after, forces) = fewer(s.positions), fewer(x)
+    all_before, (all_after, all_forces) = e(s.positions)[0], e(x)
+    assert abs(after - before - (all_after - all_before)) < LEFT_OUT * abs(all_before)
+    assert np.linalg.norm((forces - all_forces)[moving]) < LEFT_OUT * np.linalg.norm(all_forces)
 
 
 @pytest.mark.parametrize("move", ["sidechain", "around 4 chainID A"])
