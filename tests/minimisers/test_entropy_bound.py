@@ -183,3 +183,13 @@ def test_a_chain_without_c_alphas_needs_another_metric():
     ):
         pc.minimise(c, method="kcm-entropy", max_evaluations=3)
     assert pc.minimise(c, method=pc.kcm(entropy_bound=1e-4, metric="mass"), max_evaluations=3).end
+
+
+def test_the_method_limits_the_rate_of_entropy_loss():
+    """Its result is that of the direction with this bound, and not that of plain KCM."""
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    bounded = Descent(EntropyBound(rate=0.5), Fixed(0.0005))
+    ends = [
+        pc.minimise(c, e, method, max_evaluations=5).end.energy for method in ("kcm-entropy", bounded, "kcm")
+    ]
+    assert ends[0] == ends[1] != ends[2]

@@ -433,6 +433,7 @@ def test_populations_are_of_walks_whose_pilot_is_over(whole):
         assert np.array_equal(late.temperatures, found.states[1].temperatures)
         expected = found.states[1].odds / found.states[1].n_counted
         assert late.populations["exchanges"][0] == pytest.approx(expected[0])
+        assert [*late.populations][-3:] == ["exchanges", "slope", "slope_error"]
     with_three = replace(pilot, temperatures=np.array([300.0, 400.0]))
     late = replace(found, states=(with_three, found.states[1]), findings=(nothing, found.findings[1]))
     assert late.populations["temperature_k"].tolist() == [300.0, 600.0]

@@ -105,3 +105,13 @@ def test_commands_take_them_along(boltz, tmp_path, capsys):
     assert sorted(path.name for path in boltz.parent.iterdir()) == [
         "confidence_x_model_0.json", "confidence_x_model_1.json", "x_model_0.pdb", "x_model_1.pdb",
     ]  # fmt: skip
+
+
+def test_chains_of_boltz_are_in_the_order_of_their_numbers(tmp_path):
+    """Indices may be in any order in the file, and 10 is after 9."""
+    order = [10, 2, *range(2), *range(3, 10)]
+    pairs = {f"{a}": {f"{b}": 0.01 * (11 * a + b) for b in reversed(order)} for a in order}
+    (tmp_path / "confidence_x_model_0.json").write_text(json.dumps({"pair_chains_iptm": pairs}))
+    read = read_scores([tmp_path / "confidence_x_model_0.json"])
+    in_order = [[0.01 * (11 * a + b) for b in range(11)] for a in range(11)]
+    assert np.array_equal(read.pairs, in_order)

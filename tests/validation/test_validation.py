@@ -95,6 +95,10 @@ def test_what_is_wrong_is_said_of_each_residue(spoilt):
     assert pc.validate(pc.from_sequence("GG")).listing() == []
 
 
+def test_settings_of_a_preparation_reach_it():
+    assert pc.validate(STRUCTURES / "3i40.pdb", chains="A").record()["n_residues"] == 21
+
+
 def test_the_result_of_a_run_is_validated_at_its_end(spoilt):
     v = pc.validate(spoilt, reference=load("1l2y.pdb"))
     assert list(v.measures) == [*MEASURES, *LIKENESS] and v.measures["lddt"] < 1.0
