@@ -27,3 +27,9 @@ table_of_rows(
     ("not noticed", "{survived}"), ("share", "{share:.2f}"), ("interval", "{low:.2f} to {high:.2f}"),
     ("commit", "{commit}"),
 )  # fmt: skip
+table_of_rows(
+    "mutants-semantic", "mutants_semantic_score.csv",
+    ("kind of fault", "{kind}"), ("noticed", "{noticed}"), ("excused", "{excused}"),
+    ("not noticed", "{survived}"), ("share", "{share:.2f}"), ("interval", "{low:.2f} to {high:.2f}"),
+    ("commit", "{commit}"),
+)  # fmt: skip
