@@ -1,6 +1,8 @@
 """Page of a run over frames: their statuses, and the quantities that differ between frames."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,7 @@ _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
 """Beginnings of the names of the quantities that are drawn first."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
 _MOST_FIGURES = 12
+_MAIN = "violations", "clashscore_per_1000_atoms", "ca_rmsd_angstrom", "energy_kj_mol"  # Measures in the header.
 _WORST = ("violations_end", "violations", "ca_rmsd_angstrom")  # Measures of damage, the best first.
 
 
@@ -39,10 +42,35 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
         table=run.csv.name,
         counts=pd.DataFrame([{"frames": len(table), **run.counts}]),
         figure=figure and data_url(figure),
+        medians=_medians(usable),
         data=table_data(rows[columns], [*first, "message"] if rows["message"].notna().any() else first),
         worst_by=heading(by),
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba", "MDAnalysis", "pandas"),
     )
+
+
+def _medians(table: pd.DataFrame) -> list[tuple[str, str]]:
+    """Labels and medians of the main measures of a table, of the start and of the end."""
+    numbers = table.select_dtypes("number")
+    columns_of = _by_quantity(numbers.loc[:, numbers.notna().any()])
+    return [
+        (f"median {heading(name)}", _arrow(table, columns_of[name])) for name in _MAIN if name in columns_of
+    ]
+
+
+def _arrow(table: pd.DataFrame, columns: Mapping[str, str]) -> str:
+    """Medians of the columns of a quantity, from its start to its end."""
+    return " → ".join(f"{table[column].median():.4g}" for column in columns.values())
+
+
+def _by_quantity(names: Iterable[Any]) -> dict[str, dict[str, str]]:
+    """Columns by quantity and stage, start or end."""
+    columns_of: dict[str, dict[str, str]] = {}
+    for name in map(str, names):
+        stage = next((stage for stage in ("start", "end_reference", "end") if f"_{stage}" in name), "")
+        quantity = name.replace(f"_{stage}", "") if stage else name
+        columns_of.setdefault(quantity, {})[stage.split("_")[0]] = name
+    return columns_of
 
 
 def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
@@ -59,11 +87,7 @@ def _usable(table: pd.DataFrame) -> pd.Series:
 
 def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
     """Curves against the frame. Start and end of a quantity share a panel."""
-    pairs: dict[str, dict[str, str]] = {}
-    for name in map(str, numbers):
-        stage = next((stage for stage in ("start", "end_reference", "end") if f"_{stage}" in name), "")
-        quantity = name.replace(f"_{stage}", "") if stage else name
-        pairs.setdefault(quantity, {})[stage.split("_")[0]] = name
+    pairs = _by_quantity(numbers)
     quantities = sorted(pairs, key=lambda name: not name.startswith(_FIRST))[:_MOST_FIGURES]
     if not quantities or len(frame) < 2:
         return None
@@ -79,6 +103,8 @@ def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
         if k + 2 >= len(quantities):
             ax.set_xlabel("frame")
             ax.tick_params(labelbottom=True)
+    medians = _arrow(numbers, pairs[quantities[0]])
+    figure.suptitle(f"{len(frame)} frames, median {heading(quantities[0])}: {medians}")
     if any(len(stages) > 1 for stages in pairs.values()):
         outside(axes[: len(quantities)])
     return figure

@@ -242,17 +242,20 @@ def run_scan(
     return keep(), interrupted
 
 
-def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
-    """Heat map of sites against new residues: red positive, blue negative, grey the wild type."""
+def heat_map(table: "pd.DataFrame") -> "Figure":
+    """Heat map of ddg of sites against new residues: red positive, blue negative, grey the wild type."""
     from protochain.results.figures import panels
 
     sites = list(dict.fromkeys(zip(table["chain"], table["residue"].astype(str), table["wild"], strict=True)))
     letters = sorted({*table["mutant"]})
     values = np.full((len(letters), len(sites)), np.nan)
-    for row in table.to_dict("records"):
+    for row in table.astype({"ddg_kj_mol": float}).to_dict("records"):
         position = sites.index((row["chain"], str(row["residue"]), row["wild"]))
-        values[letters.index(row["mutant"]), position] = np.nan if row[column] is None else row[column]
+        values[letters.index(row["mutant"]), position] = row["ddg_kj_mol"]
     figure, (ax,) = panels(None, 1, (2.5 + 0.22 * len(sites), 1.6 + 0.22 * len(letters)))
+    n_values = np.isfinite(values).sum()
+    ax.set_title(f"{(values > 0.0).sum()} of {n_values} mutants are less stable", loc="left")
+    ax.grid(False)
     image = ax.imshow(values, cmap="coolwarm", vmin=-_MOST, vmax=_MOST, aspect="auto")
     ax.set_facecolor("#cccccc")
     names = [f"{chain}:{wild}{number}" for chain, number, wild in sites]

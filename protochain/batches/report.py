@@ -99,6 +99,10 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
         if len(sorted_values):
             share = 100.0 * np.arange(1, len(sorted_values) + 1) / len(sorted_values)
             ax.step(sorted_values, share, where="post", **styles[str(method)].line(str(method)))
+    medians = values.astype(float).groupby(methods, sort=False).median().dropna()
+    if len(medians):
+        name = f" by {medians.idxmin()}" if len(medians) > 1 else ""
+        ax.set_title(f"{'lowest ' if name else ''}median {medians.min():.3g}{name}")
     ax.set_xlabel(label)
     ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)

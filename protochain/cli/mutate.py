@@ -203,8 +203,18 @@ def _scan(
     if report:
         from protochain.results.page import write_scan
 
-        shown_columns = mutations.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
-        write_scan(report, f"Mutations of {structure.name}", _TEXT, heat_map(mutations), shown_columns)
+        reasons = mutations["message"].where(mutations["status"] != "converged")
+        shown_columns = mutations.assign(message=reasons).dropna(axis="columns", how="all")
+        shown_columns = shown_columns.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
+        ranked = mutations.dropna(subset="ddg_kj_mol").sort_values("ddg_kj_mol", kind="stable")
+        ends = {"most stable, kJ/mol": ranked.head(1), "least stable, kJ/mol": ranked.tail(1)}
+        numbers = {"mutants": f"{len(mutations)}"} | {
+            label: f"{row.mutations} {row.ddg_kj_mol:+.1f}"
+            for label, end in ends.items() for row in end.itertuples()
+        }  # fmt: skip
+        write_scan(
+            report, f"Mutations of {structure.name}", _TEXT, numbers, heat_map(mutations), shown_columns
+        )  # fmt: skip
     rows: Any = mutations.astype(object).where(mutations.notna(), None).to_dict("records")
     if as_json:
         files = [str(path) for path in (table, report) if path]

@@ -46,11 +46,13 @@ def scan(
     with count_progress("scan") as watch:
         points = run(chain, energy, axes, relax=relax, watch=watch)
     write_atomically(table, lambda to: points.to_csv(to, index=False))
+    lowest: dict[str, float] = points.nsmallest(1, ENERGY)[[*axes, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
     if report:
         method = "minimised in all other hinges" if relax else "with all other hinges as they are"
         text = f"Energy of {chain.structure.name} against its dihedrals, {method}."
-        write_scan(report, f"Scan of {chain.structure.name}", text, energy_map(points), points)
-    lowest: dict[str, float] = points.nsmallest(1, ENERGY)[[*axes, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
+        numbers = {"points": f"{len(points)}", "lowest energy, kJ/mol": f"{lowest[ENERGY]:.2f}"}
+        numbers |= {f"at {name}, degrees": f"{lowest[name]:g}" for name in axes}
+        write_scan(report, f"Scan of {chain.structure.name}", text, numbers, energy_map(points), points)
     if as_json:
         record = {"input": str(source), "n_points": len(points), "lowest": lowest}
         options.print_json(record | {"files": [*map(str, files)]})

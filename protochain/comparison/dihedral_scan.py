@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 ENERGY = "energy_kj_mol"
 _MOST = 60.0  # kJ/mol above the lowest: upper limit of the map.
+_STEEP = 1000.0  # kJ/mol above the lowest, more if atoms overlap: limit of the linear part of a curve.
 
 
 @check_arguments(relax=flag, watch=function("done", "total"))
@@ -101,10 +102,15 @@ def energy_map(table: "pd.DataFrame") -> "Figure":
     names = [str(name) for name in table.columns if name not in (ENERGY, "status")]
     above = table[ENERGY] - table[ENERGY].min()
     figure, (ax,) = panels(None, 1, (5.2, 4.2))
+    lowest = table.loc[table[ENERGY].idxmin()]
+    ax.set_title("lowest at " + ", ".join(f"{name} = {lowest[name]:g}" for name in names) + " degrees")
     ax.set_xlabel(f"{names[0]}, degrees")
     if len(names) == 1:
         ax.plot(table[names[0]], above)
         ax.set_ylabel("energy above the lowest, kJ/mol")
+        if above.max() > _STEEP:
+            ax.set_yscale("symlog", linthresh=_STEEP)
+            ax.set_ylim(bottom=0.0)
         plain(ax)
         return figure
     with_above = table.assign(above=above.clip(upper=_MOST))

@@ -19,15 +19,16 @@ from protochain.results.provenance import of_run
 from protochain.results.viewer import library, superpose
 from protochain.structure import Structure
 from protochain.structure.write import as_text, common_suffix
-from protochain.validation.ramachandran import ramachandran
+from protochain.validation.ramachandran import REGIONS, ramachandran
 
 _MOST, _SHOWN, _ATOMS = 400, 60, 200_000
 """Limits of frames in figures, of frames in the viewer, and of their atoms, each about ten bytes."""
 _DRAWN = (
-    ("energy, kJ/mol", ("potential_kj_mol", "conserved_kj_mol")),
-    ("temperature, K", ("temperature_k",)),
-    ("C-alpha RMSD to the start, angstrom", ("ca_rmsd_angstrom",)),
+    ("energy, kJ/mol", ("potential_kj_mol", "conserved_kj_mol"), "potential: {mean:.1f} kJ/mol on average"),
+    ("temperature, K", ("temperature_k",), "{mean:.0f} K on average"),
+    ("C-alpha RMSD to the start, angstrom", ("ca_rmsd_angstrom",), "{last:.2f} angstrom at the end"),
 )
+"""Panels of the log: label, columns, and a title with the mean and last value of the first column."""
 
 
 def write_simulated(
@@ -84,13 +85,14 @@ def averages(log: pd.DataFrame) -> pd.DataFrame:
 
 def _log(log: pd.DataFrame) -> Figure:
     """Plot quantities of the log against time, quantities of one unit in one panel."""
-    rows = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
-    rows = [(label, names) for label, names in rows if names]
+    rows = [(label, [name for name in names if name in log], title) for label, names, title in _DRAWN]
+    rows = [row for row in rows if row[1]]
     figure, axes = panels(None, (len(rows), 1), (7, 0.3 + 1.8 * len(rows)), sharex=True)
-    for ax, (label, names) in zip(axes, rows, strict=True):
+    for ax, (label, names, title) in zip(axes, rows, strict=True):
         columns = {heading(name).split(",")[0]: name for name in names}
         for look, (legend, name) in zip(looks(columns).values(), columns.items(), strict=True):
             ax.plot(log["time_ps"], log[name], **look.line(legend) | {"marker": "", "linewidth": 1.2})
+        ax.set_title(title.format(mean=log[names[0]].mean(), last=log[names[0]].iloc[-1]))
         ax.set_ylabel(label.replace(", ", ",\n") if len(label) > 20 else label)
         if len(names) > 1:
             outside([ax])
@@ -112,6 +114,9 @@ def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     places = residue_places(structure.residue_chain[residues], number[residues])
     ax.set_xticks([*places], [*places.values()])
+    if len(values):
+        r = int(residues[np.argmax(values)])
+        ax.set_title(f"{structure.residue(r)} moves most: {values.max():.2f} angstrom")
     ax.set(xlabel="residue", ylabel="RMSF of C-alpha, angstrom", ylim=(0.0, None))
     plain(ax)
     return figure
@@ -126,6 +131,10 @@ def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
         np.concatenate([turns.phi for turns in angles]), np.concatenate([turns.psi for turns in angles]), s=5,
         c=np.repeat(times, [len(turns.phi) for turns in angles]), cmap="viridis", linewidths=0,
     )  # fmt: skip
+    regions = np.concatenate([turns.region for turns in angles])
+    if len(regions):
+        favoured = 100.0 * np.mean(regions == REGIONS.index("favoured"))
+        ax.set_title(f"{favoured:.0f} % of all residues and frames are favoured")
     ax.set(xlabel="phi, degrees", ylabel="psi, degrees")
     figure.colorbar(points, ax=ax, label="time, ps")
     return figure

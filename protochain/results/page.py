@@ -1,7 +1,7 @@
 """Pages: self-contained HTML from the templates of the package, which work offline."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -63,12 +63,18 @@ def _short(value: Any) -> int | float | None:
     return int(value) if value == int(value) else float(f"{value:.6g}")
 
 
-def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> None:
-    """Write the page of a scan: its description, its figure, and all its points."""
+def write_scan(
+    path: Path, title: str, text: str, numbers: Mapping[str, str], figure: Any, table: "pd.DataFrame"
+) -> None:
+    """Write the page of a scan: numbers of the header by label, description, figure, and all points."""
     from protochain.results.figures import data_url
 
     run = of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
-    write_page(path, "scan.html", title=title, text=text, figure=data_url(figure), table=table, run=run)
+    n_converged = (table["status"] == "converged").sum() if "status" in table else None
+    write_page(
+        path, "scan.html", title=title, text=text, numbers=[*numbers.items()], n_converged=n_converged,
+        figure=data_url(figure), table=table, run=run,
+    )  # fmt: skip
 
 
 @cache

@@ -80,6 +80,8 @@ def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> 
                 marker=marker, label=f"{k}" if k <= len(COLOURS) else "others",
             )  # fmt: skip
     left.set(xlabel="C-alpha RMSD to the lowest, angstrom", ylabel="energy above the lowest, kJ/mol")
+    left.set_xlim(*_limits(table["ca_rmsd_to_lowest_angstrom"], 0.5))
+    left.set_ylim(*_limits(table["above_lowest_kj_mol"], 5.0))
     outside([left], title="cluster")
     left.set_title(f"{len(table)} minima, {(table['above_lowest_kj_mol'] < 10.0).sum()} within 10 kJ/mol")
     runs = {f"walker {number}": walk for number, walk in enumerate(walks)}
@@ -93,3 +95,9 @@ def draw_minima(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> 
     plain(left)
     plain(right)
     return figure
+
+
+def _limits(values: "pd.Series", least: float) -> tuple[float, float]:
+    """Limits of an axis from 0 to the largest value, with a margin."""
+    most = max(values.max(), least)
+    return -0.05 * most, 1.05 * most
