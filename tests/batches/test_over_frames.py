@@ -21,7 +21,7 @@ from fixtures.waiting import until
 import protochain as pc
 from protochain.batches import Processes, cluster
 from protochain.batches.frame_files import run_frames
-from protochain.batches.frame_report import _MOST_FIGURES, _along, _worst_first, write_report
+from protochain.batches.frame_report import _MOST_FIGURES, _along, _medians, _worst_first, write_report
 from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, prepare_task, row_of
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
 from protochain.relaxation import RelaxSettings
@@ -335,6 +335,19 @@ def test_of_many_quantities_energy_and_violations_are_drawn_first():
     titles = [ax.get_title() for ax in figure.axes if ax.get_visible()]
     assert titles[:3] == [heading(name) for name in ("violations", "energy_kj_mol", "other_0")]
     assert len(titles) == _MOST_FIGURES
+
+
+def test_the_header_of_frames_has_medians_of_the_start_and_the_end():
+    table = pd.DataFrame({
+        "violations_start": [9, 3, 4], "violations_end": [0, 0, 1], "ca_rmsd_angstrom": [0.5, 0.1, 0.2],
+        "energy_start_kj_mol": [7.0, 8.0, 9.0], "energy_end_reference_kj_mol": [-1.0, -2.0, -4.0],
+        "clashscore_per_1000_atoms_end": np.nan, "seconds": 1.0,
+    })  # fmt: skip
+    assert _medians(table) == [
+        ("median violations", "4 → 0"),
+        ("median C-alpha RMSD, angstrom", "0.2"),
+        ("median energy, kJ/mol", "8 → -2"),
+    ]
 
 
 @pytest.mark.slow

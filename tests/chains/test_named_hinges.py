@@ -104,8 +104,11 @@ def test_a_map_shows_energies_above_the_lowest_point_wherever_it_is():
     table = pd.DataFrame({"phi A:5": [60.0, -60.0, 180.0], "energy_kj_mol": [-90.0, -97.0, -95.0]})
     (line,) = energy_map(table).axes[0].lines
     assert line.get_xdata().tolist() == [60.0, -60.0, 180.0] and line.get_ydata().tolist() == [7.0, 0.0, 2.0]
+    steep = energy_map(table.assign(energy_kj_mol=[-90.0, 1e6, 0.0])).axes[0]
+    assert energy_map(table).axes[0].get_yscale() == "linear" and steep.get_yscale() == "symlog"
     grid = pd.DataFrame(itertools.product([-60.0, 60.0], [0.0, 90.0, 180.0]), columns=["phi A:5", "psi A:5"])
     axes = energy_map(grid.assign(energy_kj_mol=[-40.0, -50.0, -45.0, -30.0, -20.0, 99.0])).axes[0]
+    assert axes.get_title() == "lowest at phi A:5 = -60, psi A:5 = 90 degrees"
     # Contours every 5 kJ/mol from the lowest: its region is of the first colour.
     filled = axes.collections[0]
     assert filled.levels[[0, 1, -1]].tolist() == [0.0, 5.0, 60.0] and filled.zmin == 0.0

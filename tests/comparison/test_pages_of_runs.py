@@ -15,10 +15,12 @@ from matplotlib.figure import Figure
 
 import protochain as pc
 from protochain.batches.report import USABLE, plot_distributions
+from protochain.comparison.dihedral_scan import energy_map
 from protochain.comparison.plots import plot_ramachandran_classes
 from protochain.comparison.relaxed import named_residues
-from protochain.comparison.simulated import averages, rmsf
+from protochain.comparison.simulated import _fluctuations, _log, averages, rmsf
 from protochain.results.figures import write_figure
+from protochain.results.page import write_scan
 from protochain.results.provenance import command_line
 from protochain.validation.clashes import clashes
 from protochain.validation.findings import Findings
@@ -68,6 +70,19 @@ def test_averages_of_a_log_are_those_of_a_straight_line():
         14.0,
         pytest.approx(3.0),
     ]
+
+
+def test_plots_of_a_simulation_state_what_they_show():
+    log = pd.DataFrame(
+        {"time_ps": [0.0, 1.0], "potential_kj_mol": [-10.0, -12.0], "temperature_k": [290.0, 310.0]}
+    )
+    titles = [ax.get_title() for ax in _log(log).axes]
+    assert titles == ["potential: -11.0 kJ/mol on average", "300 K on average"]
+    s = load("ala10.pdb")
+    turned = s.positions.copy()
+    turned[s.alpha_carbons[3]] += [0.02, 0.0, 0.0]  # Of A:ALA4, by 0.1 angstrom from the mean.
+    (ax,) = _fluctuations(s, [s, s.with_positions(turned)]).axes
+    assert ax.get_title() == "A:ALA4 moves most: 0.10 angstrom"
 
 
 def test_a_residue_that_goes_to_and_fro_fluctuates_by_as_much():
@@ -126,11 +141,30 @@ def test_distributions_count_what_is_up_to_each_value():
     figure = plot_distributions(pd.concat([table, failed], ignore_index=True))
     for ax, values in zip(figure.axes, (drop, rmsd, seconds), strict=True):
         assert {line.get_label() for line in ax.lines} == {*methods}
+        medians = {name: np.nanmedian(values[methods == name]) for name in dict.fromkeys(methods)}
+        lowest = min(medians, key=medians.__getitem__)
+        assert ax.get_title() == f"lowest median {medians[lowest]:.3g} by {lowest}"
         for line in ax.lines:
             own = values[(methods == line.get_label()) & np.isfinite(values)]
             x, share = line.get_data()
             assert x == pytest.approx(np.sort(own))
             assert share == pytest.approx([100.0 * np.mean(own <= each) for each in np.sort(own)])
+
+
+@pytest.mark.parametrize("statuses", [None, ["converged", "budget"], ["converged", "converged"]])
+def test_a_page_of_a_scan_has_numbers_and_a_verdict_only_of_runs(statuses, tmp_path):
+    table = pd.DataFrame({"phi A:2": [0.0, 60.0], "energy_kj_mol": [1.5, -2.0]})
+    if statuses:
+        table["status"] = statuses
+    numbers = {"lowest energy, kJ/mol": "-2.00", "at phi A:2, degrees": "60"}
+    write_scan(tmp_path / "s.html", "Scan of <x>", "Energy.", numbers, energy_map(table), table)
+    page = (tmp_path / "s.html").read_text()
+    assert "Scan of &lt;x&gt;" in page
+    assert re.findall(r"<dt>([^<]*)</dt><dd>([^<]*)</dd></div>", page) == [*numbers.items()]
+    n_good = statuses and statuses.count("converged")
+    kind = "good" if n_good == 2 else "bad"
+    expected = [(kind, f"{n_good} of 2 converged")] if statuses else []
+    assert re.findall(r'class="badge (\w+)">([^<]*)<', page) == expected
 
 
 @pytest.mark.parametrize(

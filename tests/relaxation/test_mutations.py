@@ -220,8 +220,10 @@ def test_a_scan_has_the_rows_of_mutants_alone(leucine):
     assert table["mutations"].tolist() == ["A:L7A", "A:K8A"]
     row = table.iloc[0].to_dict()
     assert row["ddg_kj_mol"] == leucine.ddg and row["energy_mutant_kj_mol"] == leucine.mutant.energy_end
-    drawn = heat_map(table).axes[0].images[0].get_array()
+    axes = heat_map(table).axes[0]
+    drawn = axes.images[0].get_array()
     assert drawn.shape == (1, 2) and drawn[0, 0] == leucine.ddg
+    assert axes.get_title(loc="left") == f"{(table['ddg_kj_mol'] > 0.0).sum()} of 2 mutants are less stable"
 
 
 def test_the_model_of_the_unfolded_chain_has_no_change_of_stability():
