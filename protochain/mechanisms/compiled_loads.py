@@ -9,7 +9,17 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.mechanics.motion import Load
 from protochain.mechanics.multibody import articulated, kinematics
-from protochain.mechanics.multibody.algebra import kernel
+from protochain.mechanics.multibody.algebra import (
+    Vector,
+    add,
+    dot,
+    hinge_axis,
+    inertia,
+    inertia_times,
+    kernel,
+    pair,
+    vector,
+)
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanisms.elements import weigh
 
@@ -137,7 +147,7 @@ def press_hinges(
     """Add friction by the forces of hinges to torques and accelerations. Return False if it jams."""
     # As ``hinge_friction.friction``: a fixed point, of forces that change linearly with friction.
     (links, bodies, _), (locked_links, undriven, _, _, balls, _) = tree, locked
-    (rotation, origin), (_, gain, pivot, root), (rows, constants, _, _) = frames, factors, hinges
+    (rotation, origin), (packed, gain, pivot, root), (rows, constants, _, _) = frames, factors, hinges
     pressed, count, n_v = np.empty(len(rows), np.int64), 0, len(qd)
     for i in range(len(rows)):
         if rows[i, 0] == FRICTION and constants[i, 3] > 0.0:
@@ -145,32 +155,31 @@ def press_hinges(
             count += 1
     if count == 0:
         return True
-    loads, torque, at_rest = np.empty((len(bodies), 6)), np.empty(n_v), np.zeros(n_v)
+    loads, motions = np.empty((len(bodies), 6)), np.empty((len(bodies), 6))
+    rates, torque, x = qdd.copy(), np.empty(n_v), np.empty(len(undriven))
     across, changes = np.empty((count + 1, count, 3)), np.zeros((count, n_v))
-    for r in range(count + 1):
-        rates = changes[r - 1] if r else qdd.copy()
-        if r:
-            x = np.zeros(len(undriven))
-            for j in range(len(undriven)):
-                x[j] = 1.0 if undriven[j] == rows[pressed[r - 1], 3] else 0.0
-            loads[:] = 0.0
-            articulated.inward_loads(locked_links, bodies, rotation, origin, gain, pivot, loads, x)
-            articulated.outward_rates(locked_links, bodies, rotation, origin, gain, root, loads, x)
-            for j in range(len(undriven)):
-                rates[undriven[j]] = x[j]
-        else:
-            bend_axes(balls, qd, rates, -1.0)
-        # Forces that hinges transmit, of Newton and Euler: Luh, Walker, Paul (1980).
-        outward_loads(links, bodies, rotation, origin, at_rest if r else qd, rates, loads)
-        if r == 0:
-            loads -= wrenches
-        kinematics.inward_torques(links, bodies, rotation, origin, loads, torque)
+    # Forces that hinges transmit without friction: Luh, Walker, Paul (1980).
+    bend_axes(balls, qd, rates, -1.0)
+    outward_loads(links, bodies, rotation, origin, qd, rates, loads)
+    loads -= wrenches
+    kinematics.inward_torques(links, bodies, rotation, origin, loads, torque)
+    for i in range(count):
+        b = rows[pressed[i], 2]
+        _put_across(rotation, b, vector(loads, b, 3), across, 0, i)
+    # Changes by a unit torque at each hinge: P a + z, Featherstone (2008), section 7.1.
+    for r in range(count):
+        for j in range(len(undriven)):
+            x[j] = 1.0 if undriven[j] == rows[pressed[r], 3] else 0.0
+        loads[:] = 0.0
+        articulated.inward_loads(locked_links, bodies, rotation, origin, gain, pivot, loads, x)
+        articulated.outward_rates(locked_links, bodies, rotation, origin, gain, root, motions, x)
+        for j in range(len(undriven)):
+            changes[r, undriven[j]] = x[j]
         for i in range(count):
-            b, along = rows[pressed[i], 2], 0.0
-            for j in range(3):
-                along += loads[b, 3 + j] * rotation[b, j, 2]
-            for j in range(3):
-                across[r, i, j] = loads[b, 3 + j] - along * rotation[b, j, 2]
+            b = rows[pressed[i], 2]
+            omega, u = pair(motions, b)
+            _, force = inertia_times(inertia(packed, b), omega, u)
+            _put_across(rotation, b, add(force, vector(loads, b, 3)), across, r + 1, i)
     slip, size, before = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):
         row = pressed[i]
@@ -197,3 +206,12 @@ def press_hinges(
                     qdd[k] += slip[i] * size[i] * changes[i, k]
             return True
     return False
+
+
+@kernel
+def _put_across(rotation: Floats, b: int, force: Vector, across: Floats, r: int, i: int) -> None:
+    """Write the part of a force across the axis of a body's hinge."""
+    axis = hinge_axis(rotation, b)
+    along = dot(force, axis)
+    for j in range(3):
+        across[r, i, j] = force[j] - along * axis[j]

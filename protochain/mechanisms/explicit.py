@@ -18,6 +18,7 @@ from protochain.mechanics.motion import DormandPrince, Drive, Equations, Load, P
 from protochain.mechanics.multibody import Frames, Tree, algebra, articulated, kinematics
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.borrowing import borrow
 from protochain.mechanics.multibody.hamilton import put_momenta
 from protochain.mechanics.multibody.massless import find_slack
 from protochain.mechanics.multibody.newton_euler import outward_loads
@@ -334,16 +335,50 @@ def _step(
     """Take a step, and close the loops."""
     # -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
     # torques of loads and the drive (k, n_v), and their work (k,); errors of displacement and velocities.
-    (a, b, error_weights), (tree, n_loads, acts, dampers, joints) = tableau, arrays
-    links, bodies, _ = tree
-    n, n_v, s = len(bodies), len(speed), len(b)
+    (links, bodies, _), n_loads = arrays[0], arrays[1]
+    n, n_v, s = len(bodies), len(speed), len(tableau[1])
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
     gain, pivot, root = np.zeros((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
-    frames, factors = (rotation, origin), (packed, gain, pivot, root)
     wrenches, loads, torques, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
     slopes, rates, reactions = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v)), np.zeros((n, 6))
     forces, work, correction = np.zeros((n_loads, n_v)), np.zeros(n_loads), np.zeros(n_v)
-    valid, closed, energy, q, qd = True, len(joints[0]) == 0, 0.0, start.copy(), speed.copy()
+    q, qd = start.copy(), speed.copy()
+    valid, energy = _put_stages(
+        h, tableau, arrays, extras, start, speed, targets, places, (rotation, origin),
+        (packed, gain, pivot, root), (wrenches, loads, torques, x, slopes, rates, reactions, correction),
+        (forces, work, q, qd),
+    )  # fmt: skip
+    torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
+    if valid:
+        kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
+        torque += torques
+        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, torques)
+    for j in range(s):
+        for k in range(n_v):
+            moved[k] += h * tableau[2][j] * slopes[j, k]
+            quickened[k] += h * tableau[2][j] * rates[j, k]
+    return (
+        valid, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, forces, work, moved,
+        quickened,
+    )  # fmt: skip
+
+
+@kernel
+def _put_stages(
+    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], extras: Any, start: Floats, speed: Floats,
+    targets: Floats, places: Integers, frames: tuple[Floats, Floats], factors: tuple[Any, ...],
+    room: tuple[Any, ...], results: tuple[Floats, Floats, Floats, Floats],
+) -> tuple[bool, float]:  # fmt: skip
+    """Write the end of a step into its arrays. Return whether the step was possible, and the energy there."""
+    tableau, arrays, extras, targets = borrow(tableau), borrow(arrays), borrow(extras), borrow(targets)
+    start, speed, frames, factors, room = (
+        borrow(start), borrow(speed), borrow(frames), borrow(factors), borrow(room),
+    )  # fmt: skip
+    (a, b, _), (tree, n_loads, acts, dampers, joints) = tableau, arrays
+    (links, bodies, _), (rotation, origin), s = tree, frames, len(b)
+    wrenches, loads, torques, x, slopes, rates, reactions, correction = room
+    forces, work, q, qd = borrow(results)
+    valid, closed, energy = True, len(joints[0]) == 0, 0.0
     # After the stages the step itself; after the step, as often as loops need, what closes them, and with
     # loads the forces there.
     for stage in range(s + 2 + ITERATIONS):
@@ -392,19 +427,7 @@ def _step(
                 work[k] += h * b[i] * np.dot(forces[k], qd)
         elif closed:
             break
-    torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
-    if valid:
-        kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
-        torque += torques
-        put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, torques)
-    for j in range(s):
-        for k in range(n_v):
-            moved[k] += h * error_weights[j] * slopes[j, k]
-            quickened[k] += h * error_weights[j] * rates[j, k]
-    return (
-        valid, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, forces, work, moved,
-        quickened,
-    )  # fmt: skip
+    return valid, energy
 
 
 @kernel
