@@ -168,6 +168,7 @@ JOBS = (
         writes="mechanisms mechanisms_checks mechanisms_left_out mechanisms_work",
     ),
     Job("loops", f"{HERE}/loops.py -o DIR", 2, writes="loops loops_costs"),
+    Job("loads", f"{HERE}/loads.py -o DIR", 1, writes="loads_costs"),
     Job("minima-found", f"{HERE}/minima.py found --seeds 3 -o DIR", 9),
     Job("minima-truth", f"{HERE}/minima.py truth -o DIR", 4),
     Job("minima-cost", f"{HERE}/minima.py cost -o DIR", 2, threads=1),

@@ -102,7 +102,7 @@ def energy_map(table: "pd.DataFrame") -> "Figure":
     names = [str(name) for name in table.columns if name not in (ENERGY, "status")]
     above = table[ENERGY] - table[ENERGY].min()
     figure, (ax,) = panels(None, 1, (5.2, 4.2))
-    lowest = table.loc[table[ENERGY].idxmin()]
+    lowest = table.nsmallest(1, ENERGY).iloc[0]
     ax.set_title("lowest at " + ", ".join(f"{name} = {lowest[name]:g}" for name in names) + " degrees")
     ax.set_xlabel(f"{names[0]}, degrees")
     if len(names) == 1:

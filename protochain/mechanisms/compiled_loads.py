@@ -20,6 +20,7 @@ from protochain.mechanics.multibody.algebra import (
     pair,
     vector,
 )
+from protochain.mechanics.multibody.kernel_arrays import copy
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanisms.elements import weigh
 
@@ -98,13 +99,12 @@ def turn_hinges(
             goal[rows[i, 2]], rate[rows[i, 3]] = targets[rows[i, 4], 0], targets[rows[i, 4], 1]
             quickening[rows[i, 3]] = targets[rows[i, 4], 2]
         rotation, origin = np.empty((n, 3, 3)), np.empty((n, 3))
-        loads, weights = np.empty((n, 6)), np.zeros((n, 6))
+        loads = np.empty((n, 6))
         kinematics.outward_frames(links, bodies, goal, rotation, origin)
         bend_axes(balls, rate, quickening, -1.0)
         outward_loads(links, bodies, rotation, origin, rate, quickening, loads)
         bend_axes(balls, rate, quickening, 1.0)
-        weigh(bodies, rotation, origin, gravity, weights)
-        loads -= weights
+        weigh(bodies, rotation, origin, -gravity, loads)
         kinematics.inward_torques(links, bodies, rotation, origin, loads, torque)
         for i in range(first, last):
             k = rows[i, 3]
@@ -186,7 +186,7 @@ def press_hinges(
         slip[i] = -constants[row, 3] * np.tanh(qd[rows[row, 3]] / constants[row, 2])
         size[i] = np.sqrt(np.sum(across[0, i] * across[0, i]))
     for _ in range(ITERATIONS):
-        before[:] = size
+        copy(size, before)
         change = 0.0
         for i in range(count):
             square = 0.0

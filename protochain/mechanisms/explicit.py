@@ -16,10 +16,10 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, floats, freeze, read_only
 from protochain.mechanics.motion import DormandPrince, Drive, Equations, Load, Phase, RungeKutta4, System
 from protochain.mechanics.multibody import Frames, Tree, algebra, articulated, kinematics
-from protochain.mechanics.multibody.algebra import kernel
+from protochain.mechanics.multibody.algebra import inner_kernel, kernel
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.borrowing import borrow
 from protochain.mechanics.multibody.hamilton import put_momenta
+from protochain.mechanics.multibody.kernel_arrays import borrow, copy, copy_row, scatter
 from protochain.mechanics.multibody.massless import find_slack
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanics.multibody.rotations import put_rates
@@ -284,25 +284,21 @@ def _march(
     targets: Floats, places: Integers,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
-    n, total, now, n_taken = steps // stride, work.copy(), time, 0
+    n, total, now, n_taken, last_places = steps // stride, work.copy(), time, 0, np.zeros_like(places)
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty((n, len(work)))
-    at_start, times_of_step = np.zeros_like(places), np.max(places)
-    last = _step(0.0, tableau, arrays, extras, start.copy(), speed.copy(), targets, at_start)
-    for i in range(steps):
-        current, possible, elapsed, spent, part = last, True, 0.0, total.copy(), h
+    q, qd, times_of_step = start.copy(), speed.copy(), np.max(places)
+    # Before the first step, a step of length 0 closes the loops and computes the factors at the start. It is
+    # a part of the loop, because each call of the step is compiled into this kernel.
+    for i in range(-1, steps):
+        length, elapsed, spent, possible = h if i >= 0 else 0.0, 0.0, total.copy(), False
+        part = length
+        if i >= 0:
+            last_places = places + i * times_of_step
         for _ in range(_MOST):
-            if not abs(h - elapsed) > 1e-12 * abs(h):
-                break
-            part = part if abs(part) < abs(h - elapsed) else h - elapsed
-            if abs(part) <= _LEAST * abs(h):
-                possible = False
-                break
-            tried = _step(
-                part, tableau, arrays, extras, current[1], current[2], targets, places + i * times_of_step
-            )
-            size = 0.0 if tried[0] else np.inf
-            if tolerance > 0.0 and tried[0]:
+            tried = _step(part, tableau, arrays, extras, q, qd, targets, last_places)
+            size = 0.0 if tried[0] or i < 0 else np.inf
+            if tolerance > 0.0 and tried[0] and i >= 0:
                 for k in range(len(units)):
                     error_of_step = max(abs(tried[14][k]), abs(h) * abs(tried[15][k])) / units[k]
                     size = max(size, error_of_step / tolerance) if error_of_step < np.inf else np.inf
@@ -310,24 +306,28 @@ def _march(
             factor = 5.0 if size == 0.0 else min(5.0, max(0.2, 0.9 * size ** (-1.0 / order)))
             if size <= 1.0:
                 current, elapsed = tried, elapsed + part
-                spent += tried[13]
+                q, qd = current[1], current[2]
+                spent += current[13]
             else:
                 factor = min(factor, 0.9)
             part *= factor
-            if tolerance == 0.0 and not tried[0]:
-                possible = False
+            possible = not abs(length - elapsed) > 1e-12 * abs(length)
+            if possible or (tolerance == 0.0 and not tried[0]):
                 break
-        if not possible or abs(h - elapsed) > 1e-12 * abs(h):
+            part = part if abs(part) < abs(length - elapsed) else length - elapsed
+            if abs(part) <= _LEAST * abs(length):
+                break
+        if not possible:
             break
-        last, total, now, n_taken = current, spent, now + h, i + 1
-        if n_taken % stride == 0:
+        last, total, now, n_taken = current, spent, now + length, i + 1
+        if n_taken > 0 and n_taken % stride == 0:
             k = i // stride
             times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
             energies[k], works[k] = last[4], total
     return n_taken, (*last[1:13], total, now), (times, qs, qds, ps, energies, works)
 
 
-@kernel
+@inner_kernel
 def _step(
     h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], extras: Any, start: Floats, speed: Floats,
     targets: Floats, places: Integers,
@@ -363,7 +363,7 @@ def _step(
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def _put_stages(
     h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], extras: Any, start: Floats, speed: Floats,
     targets: Floats, places: Integers, frames: tuple[Floats, Floats], factors: tuple[Any, ...],
@@ -391,22 +391,18 @@ def _put_stages(
         if n_loads > 0:
             _load(tree, dampers, extras, frames, q, qd, aims, loads, wrenches, x, forces)
         moves = inside or (closed and extras is not None)
-        torques[:] = x
+        copy(x, torques)
         if not (valid and _factors_at(moves, tree, extras, aims, qd, frames, factors, wrenches, loads, x)):
             valid = False
             break
         if moves and not _press(tree, extras, frames, factors, qd, wrenches, torques, forces, x):
             valid = False
             break
-        if inside:
-            rates[i] = x
         if len(joints[0]) > 0 and (moves or not closed):
             gap = _satisfy_joints(
                 moves, tree, extras, joints, frames, factors, qd, x, loads, reactions, correction
             )
-            if inside:
-                rates[i] += correction
-            elif closed:
+            if inside or closed:
                 x += correction
             elif gap <= CLOSED:
                 qd += correction
@@ -419,10 +415,9 @@ def _put_stages(
                 if not valid:
                     break
                 continue
-        _drive(
-            tree, extras, frames, qd, rates[i] if inside else x, wrenches, reactions, torques, loads, forces
-        )
+        _drive(tree, extras, frames, qd, x, wrenches, reactions, torques, loads, forces)
         if inside:
+            copy_row(x, rates, i)
             for k in range(n_loads):
                 work[k] += h * b[i] * np.dot(forces[k], qd)
         elif closed:
@@ -430,7 +425,7 @@ def _put_stages(
     return valid, energy
 
 
-@kernel
+@inner_kernel
 def _load(
     tree: tuple[Any, ...], dampers: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], q: Floats,
     qd: Floats, aims: Floats, loads: Floats, wrenches: Floats, x: Floats, forces: Floats,
@@ -462,7 +457,7 @@ def _load(
         forces[0] = damped + torques
 
 
-@kernel
+@inner_kernel
 def _press(
     tree: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], factors: tuple[Any, ...], qd: Floats,
     wrenches: Floats, torques: Floats, forces: Floats, x: Floats,
@@ -476,7 +471,7 @@ def _press(
     return possible
 
 
-@kernel
+@inner_kernel
 def _drive(
     tree: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], qd: Floats, qdd: Floats,
     wrenches: Floats, reactions: Floats, torques: Floats, loads: Floats, forces: Floats,
@@ -497,30 +492,30 @@ def _drive(
             forces[-1, k] = needed[k] + extras[1][k] * qdd[k] - torques[k]
 
 
-@kernel
+@inner_kernel
 def _put_stage(
     h: float, weights: Floats, i: int, tree: tuple[Any, ...], extras: Any, aims: Floats, slopes: Floats,
     rates: Floats, start: Floats, speed: Floats, x: Floats, q: Floats, qd: Floats,
 ) -> None:  # fmt: skip
     """Write coordinates and velocities of a stage by the previous rates, and its displacement's rate."""
     x[:] = 0.0
-    qd[:] = speed
+    copy(speed, qd)
     for j in range(i):
         weight = h * weights[j]
         for k in range(len(x)):
             x[k] += weight * slopes[j, k]
             qd[k] += weight * rates[j, k]
-    q[:] = start
+    copy(start, q)
     kinematics.move_along(tree[0], x, q)
     if extras is not None:
         _, _, driven, driven_places, _, _ = extras[0]
         for j in range(len(driven)):
             q[driven_places[j]], qd[driven[j]] = aims[j - len(driven), 0], aims[j - len(driven), 1]
-    slopes[i] = qd
+    copy_row(qd, slopes, i)
     put_rates(tree[0], x, slopes[i])
 
 
-@kernel
+@inner_kernel
 def _act(
     tree: tuple[Any, ...], acts: tuple[Any, ...], extras: Any, frames: tuple[Floats, Floats], q: Floats,
     wrenches: Floats, torques: Floats,
@@ -541,7 +536,7 @@ def _act(
     return possible, energy
 
 
-@kernel
+@inner_kernel
 def _factors_at(
     moves: bool, tree: tuple[Any, ...], extras: Any, aims: Floats, qd: Floats, frames: tuple[Floats, Floats],
     factors: tuple[Any, ...], wrenches: Floats, loads: Floats, x: Floats,
@@ -573,11 +568,11 @@ def _factors_at(
         if extras is not None:
             for j in range(len(driven)):
                 x[driven[j]] = aims[j - len(driven), 2]
-            x[undriven] = solution
+            scatter(solution, undriven, x)
     return True
 
 
-@kernel
+@inner_kernel
 def _satisfy_joints(
     moves: bool, tree: tuple[Any, ...], extras: Any, joints: tuple[Any, ...], frames: tuple[Floats, Floats],
     factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, reactions: Floats, correction: Floats,
@@ -615,9 +610,11 @@ def _satisfy_joints(
     loop_joints.gather(
         body, rows, loop_factors.least_impulses(scales, columns, spans, order, error), reactions
     )
-    loads[:] = -reactions
+    for b in range(len(bodies)):
+        moment, force = algebra.pair(reactions, b)
+        algebra.put_pair(algebra.scale(-1.0, moment), algebra.scale(-1.0, force), loads, b)
     articulated.inward_loads(solved, bodies, rotation, origin, gain, pivot, loads, solution)
     articulated.outward_rates(solved, bodies, rotation, origin, gain, root, loads, solution)
     if extras is not None:
-        correction[undriven] = solution
+        scatter(solution, undriven, correction)
     return gap

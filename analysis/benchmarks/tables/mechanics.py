@@ -82,6 +82,15 @@ table_of_rows(
 
 
 table_of_rows(
+    "loads",
+    "loads_costs.csv",
+    ("load", "{load}"),
+    ("us of a step", "{us_per_step:.1f}"),
+    ("by the arm without loads", "{ratio:.2f}"),
+)
+
+
+table_of_rows(
     "guide", "guide.csv",
     ("mechanism", "{mechanism}"), ("lines", "{lines}"), ("against", "{against}"), ("error", "{error:.1e}"),
     ("of", "{largest:.2g}"), ("energy that is no work", "{energy:.0e}"),

@@ -37,28 +37,34 @@ def kernel(function: F) -> F:
     return cast(F, compile_it(function))
 
 
-@kernel
+def inner_kernel(function: F) -> F:
+    """Compile a part of a kernel, which Python does not call."""
+    compile_it = njit(inner=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+    return cast(F, compile_it(function))
+
+
+@inner_kernel
 def vector(array: Floats, b: int, start: int = 0) -> Vector:
     return array[b, start], array[b, start + 1], array[b, start + 2]
 
 
-@kernel
+@inner_kernel
 def vector_at(array: Floats, k: int) -> Vector:
     return array[k], array[k + 1], array[k + 2]
 
 
-@kernel
+@inner_kernel
 def hinge_axis(rotation: Floats, b: int) -> Vector:
     return rotation[b, 0, 2], rotation[b, 1, 2], rotation[b, 2, 2]
 
 
-@kernel
+@inner_kernel
 def lever(origin: Floats, b: int, p: int) -> Vector:
     """Vector from the origin of body p to the origin of body b."""
     return origin[b, 0] - origin[p, 0], origin[b, 1] - origin[p, 1], origin[b, 2] - origin[p, 2]
 
 
-@kernel
+@inner_kernel
 def matrix(array: Floats, b: int) -> Matrix:
     return (
         array[b, 0, 0], array[b, 0, 1], array[b, 0, 2],
@@ -67,36 +73,36 @@ def matrix(array: Floats, b: int) -> Matrix:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def put(v: Vector, array: Floats, b: int, start: int) -> None:
     array[b, start], array[b, start + 1], array[b, start + 2] = v
 
 
-@kernel
+@inner_kernel
 def put_at(v: Vector, array: Floats, k: int) -> None:
     array[k], array[k + 1], array[k + 2] = v
 
 
-@kernel
+@inner_kernel
 def put_matrix(m: Matrix, array: Floats, b: int) -> None:
     array[b, 0, 0], array[b, 0, 1], array[b, 0, 2] = m[0], m[1], m[2]
     array[b, 1, 0], array[b, 1, 1], array[b, 1, 2] = m[3], m[4], m[5]
     array[b, 2, 0], array[b, 2, 1], array[b, 2, 2] = m[6], m[7], m[8]
 
 
-@kernel
+@inner_kernel
 def pair(array: Floats, b: int) -> tuple[Vector, Vector]:
     """Twist or wrench of body b."""
     return (array[b, 0], array[b, 1], array[b, 2]), (array[b, 3], array[b, 4], array[b, 5])
 
 
-@kernel
+@inner_kernel
 def put_pair(first: Vector, second: Vector, array: Floats, b: int) -> None:
     array[b, 0], array[b, 1], array[b, 2] = first
     array[b, 3], array[b, 4], array[b, 5] = second
 
 
-@kernel
+@inner_kernel
 def add_pair(first: Vector, second: Vector, array: Floats, b: int) -> None:
     array[b, 0] += first[0]
     array[b, 1] += first[1]
@@ -106,22 +112,22 @@ def add_pair(first: Vector, second: Vector, array: Floats, b: int) -> None:
     array[b, 5] += second[2]
 
 
-@kernel
+@inner_kernel
 def add(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@kernel
+@inner_kernel
 def subtract(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@kernel
+@inner_kernel
 def scale(s: float, a: Vector) -> Vector:
     return s * a[0], s * a[1], s * a[2]
 
 
-@kernel
+@inner_kernel
 def freedom(axis: Vector, turn: float, slide: float, n_v: int, j: int) -> tuple[Vector, Vector]:
     """Twist of a body per unit of its j-th velocity."""
     if n_v == 1:
@@ -132,17 +138,17 @@ def freedom(axis: Vector, turn: float, slide: float, n_v: int, j: int) -> tuple[
     )
 
 
-@kernel
+@inner_kernel
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@inner_kernel
 def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@inner_kernel
 def rotate(r: Matrix, a: Vector) -> Vector:
     """Product R a."""
     return (
@@ -152,7 +158,7 @@ def rotate(r: Matrix, a: Vector) -> Vector:
     )
 
 
-@kernel
+@inner_kernel
 def rotate_back(r: Matrix, a: Vector) -> Vector:
     """Product R^T a."""
     return (
@@ -162,7 +168,7 @@ def rotate_back(r: Matrix, a: Vector) -> Vector:
     )
 
 
-@kernel
+@inner_kernel
 def symmetric_times(s: Symmetric, a: Vector) -> Vector:
     return (
         s[0] * a[0] + s[1] * a[1] + s[2] * a[2],
@@ -171,7 +177,7 @@ def symmetric_times(s: Symmetric, a: Vector) -> Vector:
     )
 
 
-@kernel
+@inner_kernel
 def rotate_inertia(r: Matrix, s: Symmetric) -> Symmetric:
     """Product R S R^T."""
     x = symmetric_times(s, (r[0], r[1], r[2]))
@@ -187,7 +193,7 @@ def rotate_inertia(r: Matrix, s: Symmetric) -> Symmetric:
     )
 
 
-@kernel
+@inner_kernel
 def inertia(p: Floats, b: int) -> Inertia:
     return (
         (p[b, 0], p[b, 1], p[b, 2], p[b, 3], p[b, 4], p[b, 5]),
@@ -196,7 +202,7 @@ def inertia(p: Floats, b: int) -> Inertia:
     )
 
 
-@kernel
+@inner_kernel
 def put_inertia(p: Inertia, out: Floats, b: int) -> None:
     i, c, m = p
     out[b, 0], out[b, 1], out[b, 2], out[b, 3], out[b, 4], out[b, 5] = i
@@ -205,7 +211,7 @@ def put_inertia(p: Inertia, out: Floats, b: int) -> None:
     out[b, 15], out[b, 16], out[b, 17], out[b, 18], out[b, 19], out[b, 20] = m
 
 
-@kernel
+@inner_kernel
 def add_inertias(p: Inertia, q: Inertia) -> Inertia:
     i, c, m = p
     j, d, n = q
@@ -219,12 +225,12 @@ def add_inertias(p: Inertia, q: Inertia) -> Inertia:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def add_inertia(p: Inertia, out: Floats, b: int) -> None:
     put_inertia(add_inertias(inertia(out, b), p), out, b)
 
 
-@kernel
+@inner_kernel
 def rigid_inertia(turn: Matrix, bodies: Floats, b: int) -> tuple[float, Vector, Symmetric]:
     """Mass, first moment and moments of inertia of body b about its origin, along world axes."""
     first = vector(bodies, b, FIRST_MOMENT)
@@ -232,7 +238,7 @@ def rigid_inertia(turn: Matrix, bodies: Floats, b: int) -> tuple[float, Vector, 
     return bodies[b, MASS], rotate(turn, first), rotate_inertia(turn, (x[0], x[1], x[2], y[0], y[1], y[2]))
 
 
-@kernel
+@inner_kernel
 def add_rigid(p: Inertia, rigid: tuple[float, Vector, Symmetric]) -> Inertia:
     """Sum of a spatial inertia and the inertia of a rigid body: C = [m c]x, M = m 1."""
     i, c, m = p
@@ -244,14 +250,14 @@ def add_rigid(p: Inertia, rigid: tuple[float, Vector, Symmetric]) -> Inertia:
     )
 
 
-@kernel
+@inner_kernel
 def inertia_times(p: Inertia, omega: Vector, u: Vector) -> tuple[Vector, Vector]:
     """Wrench of a twist."""
     i, c, m = p
     return (add(symmetric_times(i, omega), rotate(c, u)), add(rotate_back(c, omega), symmetric_times(m, u)))
 
 
-@kernel
+@inner_kernel
 def minus_outer(p: Inertia, moment: Vector, force: Vector, weight: float) -> Inertia:
     """P - weight w w^T for the wrench w = (moment, force)."""
     i, c, m = p
@@ -270,7 +276,7 @@ def minus_outer(p: Inertia, moment: Vector, force: Vector, weight: float) -> Ine
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def shifted_inertia(p: Inertia, lever: Vector) -> Inertia:
     """Return the same inertia about a point that lies ``-lever`` away."""
     # With L = [lever]x: C' = C + L M and I' = I + L C^T - C' L.
