@@ -17,7 +17,7 @@ from protochain.comparison import plots
 from protochain.comparison.colourings import colourings
 from protochain.comparison.deviation import deviation
 from protochain.comparison.differences import Differences, concatenate, of_ends, totals_of
-from protochain.comparison.folder import clear
+from protochain.comparison.folder import FIGURES, clear
 from protochain.comparison.quality import quality
 from protochain.comparison.work import at_equal_cost, spreads, work_to_reach
 from protochain.core.arrays import Floats
@@ -330,15 +330,7 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
 
 def _figures(comparison: Comparison) -> dict[str, Figure]:
     turning = (comparison.traces["max_torque_kj_mol_rad"] > 0.0).any()
-    return {
-        "energy": comparison.plot_energy(),
-        "work_precision": comparison.plot_work_precision(),
-        **({"torque": comparison.plot_torque()} if turning else {}),
-        "rmsd": comparison.plot_rmsd(),
-        "displacement": comparison.plot_displacement(),
-        "differences": comparison.plot_differences(),
-        "ramachandran": comparison.plot_ramachandran(),
-    }
+    return {name: getattr(comparison, f"plot_{name}")() for name in FIGURES if turning or name != "torque"}
 
 
 def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Figure]) -> str:
