@@ -100,9 +100,7 @@ class Torques:
         """Hessian (n, n) by differences, symmetrised."""
         rows = np.empty((len(freedoms), len(freedoms)))
         for row, freedom in zip(rows, freedoms, strict=True):
-            direction = np.zeros(self.chain.n_v)
-            direction[freedom] = 1.0
-            row[:] = self.product(direction)[freedoms]
+            row[:] = self.product(np.eye(1, self.chain.n_v, freedom)[0])[freedoms]
         return 0.5 * (rows + rows.T)
 
 
