@@ -75,8 +75,7 @@ def _split_at_renumbering(model: gemmi.Model) -> None:
             tails.append(gemmi.Chain(chain.name))
             for residue in chain[start:]:
                 tails[-1].add_residue(residue)
-            for i in reversed(range(start, len(chain))):
-                del chain[i]
+            del chain[start:]
         for tail in tails:  # At the end, because adding moves the chains of the model in memory.
             model.add_chain(tail, k + 1)
 
@@ -207,8 +206,7 @@ def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
 
 def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> None:
     residues, empty = [], chain[i].clone()
-    for k in reversed(range(len(empty))):
-        del empty[k]
+    del empty[:]
     for atoms in copies:
         copy = empty.clone()
         for atom in atoms.values():

@@ -72,8 +72,7 @@ def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
             copy = chain.clone()
             copy.name = names[chain.name]
             structure[0].add_chain(copy)
-    while len(structure) > 1:
-        del structure[1]
+    del structure[1:]
     structure.merge_chain_parts()
 
 
