@@ -437,17 +437,14 @@ def _npz(path: Path) -> Frames:
             f"{path}: pos, node_orientations and sequence do not fit each other; write it again"
         )
 
+    names = (name, "node_orientations") if of_backbones else (name,)
+
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k, (x,) in _stream(path, (name,), chosen):
-            yield Frame(k, _copy_nm(x, _UNITS[unit]))
+        for k, (x, *rotation) in _stream(path, names, chosen):
+            x = _copy_nm(x, _UNITS[unit])
+            yield Frame(k, backbones(x, _copy_nm(*rotation)) if of_backbones else x)
 
-    def read_backbones(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k, (x, rotation) in _stream(path, (name, "node_orientations"), chosen):
-            yield Frame(k, backbones(_copy_nm(x), _copy_nm(rotation)))
-
-    if of_backbones:
-        return _frames_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
-    return _frames_of(path, count, n_atoms, read)
+    return _frames_of(path, count, 4 * n_atoms if of_backbones else n_atoms, read, sequence=sequence)
 
 
 def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
