@@ -103,9 +103,7 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
     if len(medians):
         name = f" by {medians.idxmin()}" if len(medians) > 1 else ""
         ax.set_title(f"{'lowest ' if name else ''}median {medians.min():.3g}{name}")
-    ax.set_xlabel(label)
-    ax.set_ylabel("structures up to this value, %")
-    ax.set_ylim(0, 101)
+    ax.set(xlabel=label, ylabel="structures up to this value, %", ylim=(0, 101))
     plain(ax)
     return figure
 

@@ -134,8 +134,7 @@ def _figure(table: pd.DataFrame, name: str) -> Figure:
     axes.plot(places, table["ca_b_factor_angstrom2"], color=COLOURS[0], label="modes")
     if np.ptp(filed) > 0.0:
         axes.plot(places, filed, color=COLOURS[1], linestyle="--", label="file")
-    axes.set_xlabel("residue, counted from 1")
-    axes.set_ylabel("B factor of C-alpha, square angstrom")
+    axes.set(xlabel="residue, counted from 1", ylabel="B factor of C-alpha, square angstrom")
     largest = int(np.argmax(table["ca_b_factor_angstrom2"])) + 1
     axes.set_title(f"{name}: residue {largest} of {len(table)} moves most".replace("$", r"\$"))
     outside([axes])

@@ -73,8 +73,7 @@ def plot_work_precision(
     traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
     for axes, (name, methods) in zip(axes_grid.reshape(n, 2), groups.items(), strict=True):
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
-        axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
-        axes[0].set_yscale("log")
+        axes[0].set(ylabel=f"{name}:\nenergy above the lowest end, kJ/mol", yscale="log")
     outside(axes_grid)
     near = work.set_index("method")["evaluations_within_10_kj_mol"].dropna()
     first = f"{near.idxmin()} is the first, after {near.min():.0f} evaluations" if len(near) else "none comes"
@@ -92,8 +91,7 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     if traces.empty:
         return _set_title(axes, ax, f"{title}: no run in torsions")
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
-    axes[0].set_ylabel("largest torque, kJ/mol/rad")
-    axes[0].set_yscale("log")
+    axes[0].set(ylabel="largest torque, kJ/mol/rad", yscale="log")
     outside(axes)
     last = traces.groupby("method", sort=False)["max_torque_kj_mol_rad"].last()
     text = f"the largest torque on a hinge falls to {last.min():.3g} kJ/mol/rad ({last.idxmin()})"
@@ -143,9 +141,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = No
     styles = _styles(traces["method"].unique())
     for method, run in traces.groupby("method", sort=False):
         left.plot(run["evaluations"], run["ca_rmsd_angstrom"], **styles[str(method)])
-    left.set_xscale("log")
-    left.set_xlabel("energy evaluations")
-    left.set_ylabel("C-alpha RMSD to the start, angstrom")
+    left.set(xscale="log", xlabel="energy evaluations", ylabel="C-alpha RMSD to the start, angstrom")
     outside(axes)
     plain(left)
     if len(axes) > 1:
