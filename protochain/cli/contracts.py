@@ -55,7 +55,7 @@ _OTHERS = {
             slope_error share share_error
             """),
         (bool, "violation rotamer_outlier pucker_outlier interrupted"),
-        (list[str], "confidences not_written command inverted"),
+        (list[str], "confidences not_written command inverted files"),
         (int | None, "round_trips model"),
         (bool | None, "posebusters_passed"),
         (list[str] | None, "posebusters_failed"),
@@ -270,15 +270,12 @@ def _names(paths: Iterable[Path]) -> tuple[str, ...]:
     return tuple(path.name for path in paths)
 
 
-_ENERGIES_TOLD = _row(
-    "input by between unit solvent forcefield rows files", between=str | None, files=list[str]
-)
-_FINDINGS_TOLD = _row("reference results files", reference=str | None, files=list[str])
+_ENERGIES_TOLD = _row("input by between unit solvent forcefield rows files", between=str | None)
+_FINDINGS_TOLD = _row("reference results files", reference=str | None)
 _SCORES_TOLD = _row(
-    "interface rank solvent forcefield results files",
-    interface=list[str] | None, rank=str | None, files=list[str],
-)  # fmt: skip
-_DEVIATIONS_TOLD = _row("reference align measure results files", files=list[str])
+    "interface rank solvent forcefield results files", interface=list[str] | None, rank=str | None
+)
+_DEVIATIONS_TOLD = _row("reference align measure results files")
 _FRAMES_TOLD = _row(
     "counts csv frames input interrupted output report topology trajectory written",
     counts=dict[str, int], frames=int, output=str | None, report=str | None, topology=str | None, written=int,
@@ -294,10 +291,10 @@ _FACTS = {
 
 
 _MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
-_MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
+_MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT])
 _DESIGN = _cells(_row("record"), _row(of_mutations.COLUMNS))
-_DESIGNS_TOLD = _row("input results files", results=[_DESIGN], files=list[str])
-_SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
+_DESIGNS_TOLD = _row("input results files", results=[_DESIGN])
+_SCANNED = _row("input n_points lowest files", lowest={OTHERS: float})
 _POSE = {name.removeprefix("pose_"): kind for name, kind in OF_POSE.items()}
 _RESTRAINTS = {"--restraint-csv": (_cells(get_type_hints(RestraintValue)),)}
 CONTRACTS: Mapping[str, Contract] = {
@@ -348,7 +345,7 @@ CONTRACTS: Mapping[str, Contract] = {
         (r"^fluctuations\.csv$", r"^minimum\.(pdb|cif)", r"^mode-\d+\.(dcd|xtc)$"),
     ),
     "ensemble": Contract(
-        (_row("input by results files", results=[_CLUSTER], files=list[str]),),
+        (_row("input by results files", results=[_CLUSTER]),),
         {"--csv": (_cells(_CLUSTERED),), "--residues": (_cells(_RESIDUE, _FLUCTUATING),)},
         (), (_STRUCTURE,),
     ),
