@@ -106,7 +106,7 @@ def minimise(
     limit = minimising.max_evaluations
     lengths = starting.n_starts * terminal.typical_evaluations(recipe, limit), starting.n_starts * limit
     records, files = list[dict[str, Any]](), extras | {"terms": as_json}
-    with _Writer(output, suffix, one_file) as write:
+    with _writer(output, suffix, one_file) as write:
         for run_setup, path in runs:
             with measure_run(from_start=not records):
                 run = _solve_and_write(context, source, run_setup, path, recipe, solve, lengths, write, files)
@@ -155,29 +155,24 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
     ]
 
 
-class _Writer:
-    """Writer of structures, to separate files, or at the end to one file."""
+@contextmanager
+def _writer(output: Path, suffix: str, one_file: bool) -> Iterator["Callable[[Solution, Path], None]"]:
+    """Writer of structures, to separate files, or at the end to one file, also if a later model failed."""
+    stored: list[Solution] = []
 
-    def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
-        self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.solutions: list[Solution] = []
+    def write(solution: "Solution", path: Path) -> None:
+        if one_file:
+            stored.append(solution)
+        else:
+            options.write_models([solution.structure], path, suffix, solution.provenance())
 
-    def __call__(self, solution: "Solution", path: Path) -> None:
-        """Write the structure of a solution, or store it for the end."""
-        self.solutions.append(solution)
-        if not self.one_file:
-            options.write_models([solution.structure], path, self.suffix, solution.provenance())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Write all solutions, also if a later model failed."""
-        if self.one_file and self.solutions:
-            models = [solution.structure for solution in self.solutions]
-            lines = [(s.structure.model_number, line) for s in self.solutions for line in s.provenance()]
+    try:
+        yield write
+    finally:
+        if stored:
+            lines = [(s.structure.model_number, line) for s in stored for line in s.provenance()]
             remarks = (f"MODEL {number}: {line}" for number, line in lines)
-            options.write_models(models, self.output, self.suffix, remarks)
+            options.write_models([solution.structure for solution in stored], output, suffix, remarks)
 
 
 def _solve_and_write(
@@ -188,7 +183,7 @@ def _solve_and_write(
     method: "str | Recipe",
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
-    write: _Writer,
+    write: "Callable[[Solution, Path], None]",
     extras: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
