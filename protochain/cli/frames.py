@@ -3,7 +3,6 @@
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -73,7 +72,7 @@ def run_if_requested(
         return options.refuse(context, alone, "requires frames. Give ", Argument("trajectory"))
     options.refuse(context, excluded, "does not apply to frames")
     source = single_structure(inputs)
-    with started_early(setup, how["workers"]):
+    with _processes(setup, how["workers"]).started_early():  # Their imports take a second.
         frame_task = task()
         # The ending of a table is the name of the task, but for validation.
         ending = "validated" if frame_task.name == "validate" else frame_task.name
@@ -87,11 +86,6 @@ def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults
     from protochain.batches.cluster import Processes
 
     return Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
-
-
-def started_early(setup: "Setup", workers: int | None) -> AbstractContextManager[None]:
-    """Start the processes of :func:`run` now, as their imports take a second."""
-    return _processes(setup, workers).started_early()
 
 
 def open_ensemble(

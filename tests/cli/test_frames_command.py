@@ -12,6 +12,7 @@ from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
 
 import protochain as pc
+from protochain.batches.cluster import Processes
 from protochain.batches.frame_files import FramesRun
 from protochain.cli import frames as of_frames
 from protochain.cli import terminal
@@ -40,7 +41,7 @@ def here_alone(monkeypatch):
 
     over = frame_files.over_frames
     monkeypatch.setattr(frame_files, "over_frames", lambda e, f, task, processes: over(e, f, task))
-    monkeypatch.setattr(of_frames, "started_early", lambda setup, workers: nullcontext())
+    monkeypatch.setattr(Processes, "started_early", lambda *_: nullcontext())
 
 
 def test_relax_writes_frames_rows_topology_and_page(here, capsys):
