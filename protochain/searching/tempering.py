@@ -30,11 +30,6 @@ _RAREST, _MOST_FREQUENT = 1e-3, 0.999
 """Limits of acceptances. Values closer to 0 or 1 would need more trials than a pilot has."""
 
 
-def geometric(low: float, high: float, n: int) -> Floats:
-    """Temperatures (n,) with constant ratios, K, which is optimal for a constant heat capacity."""
-    return np.geomspace(low, high, n)
-
-
 def length_of_acceptance(acceptance: Floats) -> Floats:
     """Thermodynamic length between temperatures with this acceptance of exchanges."""
     # For energies with normal distributions of one width s it is L = s |1/kT - 1/kT'|, and the mean
@@ -93,9 +88,10 @@ class Replicas:
         """Put all replicas at the minimum to which the chain descends."""
         end = landscape.minimise(landscape.chain.q0)
         r = self.n_replicas
+        # Temperatures with constant ratios are optimal for a constant heat capacity.
         state = Tempering(
             read_only([end.q] * r), read_only([end.energy] * r),
-            read_only(geometric(*self.temperatures, r)), read_only(np.full(r, 2.0 * defaults.TIME_STEP)),
+            read_only(np.geomspace(*self.temperatures, r)), read_only(np.full(r, 2.0 * defaults.TIME_STEP)),
             read_only(np.arange(r)), read_only(np.zeros(r)), read_only(np.zeros(r - 1)),
             0.0, 0, 0, end.n_evaluations, 0,
         )  # fmt: skip

@@ -11,7 +11,6 @@ from protochain.searching.tempering import (
     Tempering,
     equally_spaced,
     exchange,
-    geometric,
     length_of_acceptance,
     update_headings,
 )
@@ -34,7 +33,7 @@ def test_a_constant_heat_capacity_has_constant_ratios():
     start = np.array([300.0, 310.0, 320.0, 400.0, 500.0, 600.0])
     for _ in range(3):
         start = equally_spaced(start, np.diff(np.log(start)))
-    assert start == pytest.approx(geometric(300.0, 600.0, 6), rel=1e-9)
+    assert start == pytest.approx(np.geomspace(300.0, 600.0, 6), rel=1e-9)
 
 
 LEVELS = np.array([0.0, 3.0, 5.0, 9.0])

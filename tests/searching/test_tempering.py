@@ -7,7 +7,7 @@ import protochain as pc
 from protochain.core.units import MOLAR_GAS
 from protochain.searching.landscape import Landscape
 from protochain.searching.statistics import mean_and_error
-from protochain.searching.tempering import Replicas, geometric
+from protochain.searching.tempering import Replicas
 from protochain.searching.walker_steps import advance
 
 WITHIN = 3.5
@@ -70,7 +70,7 @@ def test_a_pilot_places_temperatures_for_equal_exchanges_and_then_they_stay(two_
             placed.append(state.n_done)
     assert placed == [100, 200] and state.n_counted == 10
     assert state.temperatures[[0, -1]] == pytest.approx([200.0, 5000.0])
-    assert np.ptp(accepted_exchanges(grid, geometric(200.0, 5000.0, 4))) > 0.25
+    assert np.ptp(accepted_exchanges(grid, np.geomspace(200.0, 5000.0, 4))) > 0.25
     assert np.ptp(accepted_exchanges(grid, state.temperatures)) < 0.15
 
 
