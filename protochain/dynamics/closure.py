@@ -169,10 +169,8 @@ def closure_of(chain: Chain, q: Floats | None = None) -> Closure:
     heavy = s.atom_element != "H"
 
     def before(atom: int) -> int | None:
-        touching = s.bonds[(s.bonds == atom).any(axis=1)]
-        neighbours = [int(b) for pair in touching.tolist() for b in pair if b != atom]
-        near = [b for b in neighbours if heavy[b] and s.atom_residue[b] == s.atom_residue[atom]]
-        return near[0] if near else None
+        near = (b for b in s.neighbours[atom] if heavy[b] and s.atom_residue[b] == s.atom_residue[atom])
+        return next(near, None)
 
     pairs = [pair for a, b in chain.loops.tolist() for pair in ((a, b), (before(a), b), (a, before(b)))]
     atoms = np.array([pair for pair in pairs if None not in pair], dtype=np.int64)
