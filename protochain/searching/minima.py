@@ -11,6 +11,7 @@ import numpy as np
 from protochain.batches.ensembles import cluster_distances, rmsds
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.lazy_pandas import pd
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 
 if TYPE_CHECKING:
@@ -114,9 +115,7 @@ def clusters(positions: Sequence[Floats]) -> Integers:
     if len(positions) < 2:
         return np.ones(len(positions), dtype=np.int64)
     labels, _ = cluster_distances(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
-    _, first = np.unique(labels, return_index=True)
-    numbers = {int(labels[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
-    return np.array([numbers[int(label)] for label in labels], dtype=np.int64)
+    return np.asarray(1 + pd.factorize(labels)[0], dtype=np.int64)
 
 
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
