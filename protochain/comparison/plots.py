@@ -158,11 +158,10 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
     ticks = np.arange(len(rmsd))
     right.set_xticks(ticks, list(rmsd.columns), rotation=35.0, ha="right", rotation_mode="anchor")
     right.set_yticks(ticks, list(rmsd.index))
-    for i in ticks:
-        for j in ticks:
-            shade = "white" if values[i, j] > 0.6 * values.max() else "black"
-            text = f"{values[i, j]:.{2 if len(ticks) < 7 else 1}f}"
-            right.text(float(j), float(i), text, ha="center", va="center", color=shade, fontsize=_SMALL)
+    for (i, j), value in np.ndenumerate(values):
+        shade = "white" if value > 0.6 * values.max() else "black"
+        text = f"{value:.{2 if len(ticks) < 7 else 1}f}"
+        right.text(j, i, text, ha="center", va="center", color=shade, fontsize=_SMALL)
     right.grid(False)
     right.set_title("between ends")
     right.figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")

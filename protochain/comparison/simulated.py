@@ -126,12 +126,11 @@ def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
     """Phi and psi of all frames, coloured by time."""
     figure, (ax,) = panels(None, 1, (5.0, 3.3))
     angles = [ramachandran(frame) for frame in frames]
+    names = ("phi", "psi", "region")
+    phi, psi, regions = (np.concatenate([getattr(turns, name) for turns in angles]) for name in names)
+    time = np.repeat(times, [len(turns.phi) for turns in angles])
     ramachandran_ground(ax)
-    points = ax.scatter(
-        np.concatenate([turns.phi for turns in angles]), np.concatenate([turns.psi for turns in angles]), s=5,
-        c=np.repeat(times, [len(turns.phi) for turns in angles]), cmap="viridis", linewidths=0,
-    )  # fmt: skip
-    regions = np.concatenate([turns.region for turns in angles])
+    points = ax.scatter(phi, psi, s=5, c=time, cmap="viridis", linewidths=0)
     if len(regions):
         favoured = 100.0 * np.mean(regions == REGIONS.index("favoured"))
         ax.set_title(f"{favoured:.0f} % of all residues and frames are favoured")
