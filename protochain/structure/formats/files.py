@@ -219,11 +219,9 @@ def _bytes(path: Path) -> bytes:
 
 def _is_cif(text: str) -> bool:
     """Return whether the first line that is not a comment opens a data block."""
-    for line in text.splitlines():
-        words = line.split(maxsplit=1)
-        if words and not words[0].startswith("#"):
-            return words[0].lower().startswith("data_")
-    return False
+    lines = (line.strip() for line in text.splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    return first.lower().startswith("data_")
 
 
 def _blocks_with_atoms(document: gemmi.cif.Document, source: str) -> list[gemmi.cif.Block]:
