@@ -24,6 +24,9 @@ class Bath:
     memory: Floats  # (k,): Variables of the thermostat.
 
 
+PhaseAndBath = tuple[Phase, Bath]
+
+
 class Thermostat(Protocol):
     """Exchange of energy with a heat bath.
 
@@ -41,9 +44,7 @@ class Thermostat(Protocol):
         """Return the bath at the start of a simulation."""
         return Bath(0.0, np.empty(0))
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Act for one time step. ``random`` returns the random generator of this step."""
 
 
@@ -53,9 +54,7 @@ class Isolated(Thermostat):
 
     conserves_momentum: ClassVar[bool] = True
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Do nothing."""
         return at, bath
 
@@ -72,9 +71,7 @@ class Langevin(Thermostat):
     thermal_energy: float  # kJ/mol: Value of kT.
     friction: float = defaults.FRICTION  # 1/ps: Friction coefficient.
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Apply friction and noise."""
         c = np.exp(-self.friction * abs(time_step))
         noise = np.sqrt((1.0 - c * c) * self.thermal_energy) * random().standard_normal(system.tree.n_v)
@@ -96,9 +93,7 @@ class Rescaling(Thermostat):
     freedoms: int  # Number of degrees of freedom.
     friction: float = defaults.FRICTION  # 1/ps: Relaxation rate of the velocities.
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Scale the velocities."""
         if at.kinetic == 0.0:
             return at, bath
@@ -145,9 +140,7 @@ class NoseHoover(Thermostat):
         """Return a bath with friction coefficients of zero."""
         return Bath(0.0, np.zeros(2 * _CHAIN))
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Advance the chain and scale the velocities."""
         xi, eta, inertia = bath.memory[:_CHAIN].copy(), bath.memory[_CHAIN:].copy(), self._inertia
         twice, scale = 2.0 * at.kinetic, 1.0
@@ -192,9 +185,7 @@ class HybridMonteCarlo(Thermostat):
         """Return a bath at the start of a trajectory."""
         return Bath(0.0, read_only([0.0, 0.0, 0.0, at.total, *at.q]))
 
-    def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
-    ) -> tuple[Phase, Bath]:
+    def apply(self, system: System, at: Phase, bath: Bath, time_step: float, random: Random) -> PhaseAndBath:
         """Count a step. At the end of a trajectory, accept or reject it and draw new velocities."""
         steps, accepted, tried, began = bath.memory[:4]
         if steps + 1 < self.trajectory_length:
