@@ -29,7 +29,10 @@ def colourings(
         result.append(Colouring("change of torsions, degrees", turned))
     if np.nan_to_num(start.b_factor).any():
         quantity = start.b_factor_quantity.replace("unknown", "B factor or confidence")
-        result.append(Colouring(f"{quantity} of the input", dict.fromkeys(ends, _mean_b_factor(start))))
+        heavy = start.atom_element != "H"
+        # Residues without heavy atoms have NaN.
+        means = means_by(start.atom_residue[heavy], start.b_factor[heavy], start.n_residues)
+        result.append(Colouring(f"{quantity} of the input", dict.fromkeys(ends, means)))
     return result
 
 
@@ -54,9 +57,3 @@ def _of_residues(structure: Structure, changes: Differences, column: str) -> Flo
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     residues = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
     return np.array([values.get(name, np.nan) for name in residues], dtype=float)
-
-
-def _mean_b_factor(structure: Structure) -> Floats:
-    """Mean over the heavy atoms of each residue, NaN without any."""
-    heavy = structure.atom_element != "H"
-    return means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)
