@@ -170,12 +170,11 @@ def _frames_of(source: str | Path, count: int, n_atoms: int, read: Any, **fields
 
 
 def _from_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
-    def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k in chosen:
-            box = None if boxes is None else _box(boxes[k])
-            yield Frame(k, _copy_nm(x[k]), box, None if times is None else float(times[k]))
+    def frame(k: int) -> Frame:
+        box = None if boxes is None else _box(boxes[k])
+        return Frame(k, _copy_nm(x[k]), box, None if times is None else float(times[k]))
 
-    return _frames_of(source, len(x), x.shape[1], read)
+    return _frames_of(source, len(x), x.shape[1], partial(map, frame))
 
 
 def _copy_nm(x: Any, scale: float = 1.0) -> Floats:
@@ -193,12 +192,11 @@ def _box(vectors: Any) -> Floats | None:
 def _from_universe(atoms: Any) -> Frames:
     trajectory = atoms.universe.trajectory
 
-    def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k in chosen:
-            step = trajectory[k]
-            yield Frame(k, _copy_nm(atoms.positions, ANGSTROM_PER_NM), _step_box(step), float(step.time))
+    def frame(k: int) -> Frame:
+        step = trajectory[k]
+        return Frame(k, _copy_nm(atoms.positions, ANGSTROM_PER_NM), _step_box(step), float(step.time))
 
-    return _frames_of("frames", len(trajectory), len(atoms), read)
+    return _frames_of("frames", len(trajectory), len(atoms), partial(map, frame))
 
 
 def _step_box(step: Any) -> Floats | None:
@@ -393,18 +391,16 @@ def _models(path: Path) -> Frames:
     models = [*parsed]
     names = tuple(name for name, _ in in_file_order(models[0]))
 
-    def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        for k in chosen:
-            at = {name: atom.pos.tolist() for name, atom in in_file_order(models[k])}
-            absent = next((name for name in names if name not in at), None)
-            if absent is None and len(at) == len({*names}):
-                yield Frame(k, _copy_nm([at[name] for name in names], ANGSTROM_PER_NM), box)
-            else:
-                mismatch = absent or next(name for name in at if name not in names)
-                verb = "lacks" if absent else "has"
-                yield Frame(k, None, error=f"other atoms than the first: it {verb} {mismatch}")
+    def frame(k: int) -> Frame:
+        at = {name: atom.pos.tolist() for name, atom in in_file_order(models[k])}
+        absent = next((name for name in names if name not in at), None)
+        if absent is None and len(at) == len({*names}):
+            return Frame(k, _copy_nm([at[name] for name in names], ANGSTROM_PER_NM), box)
+        mismatch = absent or next(name for name in at if name not in names)
+        verb = "lacks" if absent else "has"
+        return Frame(k, None, error=f"other atoms than the first: it {verb} {mismatch}")
 
-    return _frames_of(path, len(models), len(names), read, names=names)
+    return _frames_of(path, len(models), len(names), partial(map, frame), names=names)
 
 
 def _npz(path: Path) -> Frames:
