@@ -19,12 +19,8 @@ _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
 """Beginnings of the names of the quantities that are drawn first."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
 _MOST_FIGURES = 12
-_MAIN = (
-    "violations",
-    "clashscore_per_1000_atoms",
-    "ca_rmsd_angstrom",
-    "energy_kj_mol",
-)  # Measures in the header.
+_MAIN = "violations", "clashscore_per_1000_atoms", "ca_rmsd_angstrom", "energy_kj_mol"
+"""Measures in the header."""
 _WORST = ("violations_end", "violations", "ca_rmsd_angstrom")  # Measures of damage, the best first.
 
 

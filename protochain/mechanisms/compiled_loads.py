@@ -16,6 +16,7 @@ from protochain.mechanics.multibody.algebra import (
     hinge_axis,
     inertia,
     inertia_times,
+    inner_kernel,
     kernel,
     pair,
     vector,
@@ -208,7 +209,7 @@ def press_hinges(
     return False
 
 
-@kernel
+@inner_kernel
 def _put_across(rotation: Floats, b: int, force: Vector, across: Floats, r: int, i: int) -> None:
     """Write the part of a force across the axis of a body's hinge."""
     axis = hinge_axis(rotation, b)

@@ -278,7 +278,12 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     table = pd.read_csv("scan.csv")
     assert table["mutations"].tolist() == ["A:L7A", "A:K8A"] and table["message"][0] == "kept"
     assert table["ddg_kj_mol"][0] == pytest.approx(leucine.ddg, rel=1e-9)
-    assert 'src="data:image/' in (tmp_path / "scan.html").read_text()
+    page, ranked = (tmp_path / "scan.html").read_text(), table.sort_values("ddg_kj_mol")
+    assert 'src="data:image/' in page and "kept" not in page  # Only reasons of failures are shown.
+    for label, row in (("most", ranked.iloc[0]), ("least", ranked.iloc[1])):
+        shown = f"{row['mutations']} {row['ddg_kj_mol']:+.1f}"
+        assert f"<dt>{label} stable, kJ/mol</dt><dd>{shown}</dd>" in page
+    assert "2 of 2 converged" in page
     assert not list(tmp_path.glob("*.npz"))
 
 

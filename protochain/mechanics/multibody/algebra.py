@@ -38,7 +38,7 @@ def kernel(function: F) -> F:
 
 
 def inner_kernel(function: F) -> F:
-    """Compile a part of a kernel, which Python does not call."""
+    """Compile a part of other kernels, without machine code unless Python calls it."""
     compile_it = njit(inner=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
     return cast(F, compile_it(function))
 
