@@ -7,6 +7,7 @@ and the ratio to a step of the plain arm. Functions of time of motors and drives
 Their values at all stages are computed before the steps, and are part of the cost.
 """
 
+import argparse
 import math
 from collections.abc import Callable
 from functools import partial
@@ -74,8 +75,12 @@ LOADS: dict[str, Callable[[Mechanism], None]] = {
 }  # fmt: skip
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__ or "")
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "").parse_args()
+    options = parser().parse_args()
     steps = 200 if options.quick else 4000
     models = {}
     for name, load in LOADS.items():
