@@ -4,6 +4,7 @@ import csv
 import errno
 import os
 import re
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path, PurePath
@@ -13,7 +14,6 @@ from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.core.errors import ProtochainError, WriteError
-from protochain.core.grouping import group_values
 from protochain.core.lazy_pandas import pd
 from protochain.core.storage import check_writable, claim_folder, regular, write_text
 from protochain.minimisers import record
@@ -134,7 +134,9 @@ class Tables:
         """Remove incomplete rows and rows of superseded inputs. Return the identities of finished jobs."""
         jobs_by_identity = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
-        groups = group_values(((row["structure"], row["key"]), row) for row in _whole_lines(self.summary))
+        groups = defaultdict(list)
+        for row in _whole_lines(self.summary):
+            groups[row["structure"], row["key"]].append(row)
         finished_jobs, rows_of_table = set(), []
         for identity, rows in groups.items():
             job = jobs_by_identity.get(identity)

@@ -8,7 +8,6 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, beyond, components, group_members, neighbours
-from protochain.core.grouping import group_values
 from protochain.ligands.molecule import Molecule
 from protochain.structure.molecule import residues
 from protochain.structure.molecule.dihedrals import dihedral_finder
@@ -232,7 +231,10 @@ def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integ
 def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
     """Hinges whose groups (na,) form rings with others, by the paths of a spanning forest."""
     ends = group[np.array([hinge.atoms[1:3] for hinge in hinges], dtype=np.int64).reshape(-1, 2)].tolist()
-    at = group_values((end, k) for k, pair in enumerate(ends) for end in pair)
+    at: dict[int, list[int]] = {}
+    for k, pair in enumerate(ends):
+        for end in pair:
+            at.setdefault(end, []).append(k)
     # Hinge towards the root of each group, and number of hinges to the root.
     inward, depth = dict[int, int](), dict[int, int]()
     for root in at:

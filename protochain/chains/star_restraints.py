@@ -2,12 +2,12 @@
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from protochain.chains.restraint import STIFFNESS, Restraint
 from protochain.core.errors import ProtochainError
-from protochain.core.grouping import group_values
 from protochain.core.markup import excerpt
 
 Row = Mapping[str, str]  # Values of a row of a table, by items in lower case. Missing values are absent.
@@ -48,7 +48,9 @@ def restraints_of_star(text: str, file: str) -> Iterator[Restraint]:
     chains = _chains(frames)
     for frame in frames:
         for category, n_atoms in _TABLES.items():
-            rows = group_values((_value(row, "restraint_id id"), row) for row in _rows(frame, category))
+            rows = defaultdict[str, list[Row]](list)
+            for row in _rows(frame, category):
+                rows[_value(row, "restraint_id id")].append(row)
             potential = (frame.find_value(f"{category[:-1]}_list.potential_type") or "").strip("'\"")
             for name, alternatives in rows.items():
                 try:

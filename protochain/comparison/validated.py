@@ -1,11 +1,11 @@
 """Page of a validation: measures, residues with faults, clashes in the viewer, and the Ramachandran plot."""
 
+from collections import defaultdict
 from pathlib import Path
 
 import pandas as pd
 
 from protochain.comparison.plots import plot_ramachandran_classes
-from protochain.core.grouping import group_values
 from protochain.results.figures import data_url
 from protochain.results.page import table_data, write_page
 from protochain.results.viewer import residue_keys, scene
@@ -23,7 +23,9 @@ _SHOWN = {
 def write_validated(result: Validation, path: Path) -> None:
     """Write the page of a validation, one file that works offline."""
     s = result.structure
-    faults = group_values(result.findings)
+    faults: dict[int, list[str]] = defaultdict(list)
+    for residue, fault in result.findings:
+        faults[residue].append(fault)
     keys = residue_keys(s)
     # Residues with most faults first.
     worst = sorted(faults, key=lambda r: -len(faults[r]))

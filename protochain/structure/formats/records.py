@@ -13,7 +13,6 @@ import gemmi
 import numpy as np
 
 from protochain.core.graph import components
-from protochain.core.grouping import group_values
 from protochain.ligands import tables
 from protochain.structure.molecule.header import Label
 from protochain.structure.molecule.member import Address
@@ -83,7 +82,9 @@ def pdb_header(text: str, structure: gemmi.Structure) -> str:
         # mmCIF has no control characters.
         plain = line if line.isprintable() else "".join(c if c.isprintable() else " " for c in line)
         lines.setdefault(plain[:6].strip(), []).append(plain.ljust(80))
-    names = group_values((line[11:14].strip(), line[15:70].strip()) for line in lines.get("HETNAM", ()))
+    names: dict[str, list[str]] = {}
+    for line in lines.get("HETNAM", ()):
+        names.setdefault(line[11:14].strip(), []).append(line[15:70].strip())
     remarks = [line[10:].strip() for line in lines.get("REMARK", ()) if line[6:10].strip() == f"{_TERMS}"]
     mods = [
         {"id": f"{k}", "auth_asym_id": mod.chain_name or "?", "auth_seq_id": f"{mod.res_id.seqid.num}",
@@ -301,7 +302,9 @@ def _conect_bonds(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Ite
 
 
 def _journal(lines: Iterable[str]) -> dict[str, Rows]:
-    record_lines = group_values((line[12:16].strip(), line[19:79].strip()) for line in lines)
+    record_lines: dict[str, list[str]] = {}
+    for line in lines:
+        record_lines.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
     if not record_lines:
         return {}
     text = {name: _join_lines(stated) for name, stated in record_lines.items()}

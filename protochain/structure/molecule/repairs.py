@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from protochain.core import defaults
 from protochain.core.arrays import Value
 from protochain.core.errors import Angle, Argument, ProtochainError
-from protochain.core.grouping import group_values
 from protochain.core.markup import abridge, plural
 from protochain.structure.molecule.residues import Atom
 
@@ -384,7 +383,9 @@ def _fill(template: str, repair: Repair, render: Render) -> str:
 
 def summarise(repairs: Iterable[Repair], render: Render = str) -> tuple[str, ...]:
     """Summarise repairs."""
-    groups = group_values((_group(repair, render), repair) for repair in repairs)
+    groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
+    for repair in repairs:
+        groups[_group(repair, render)].append(repair)
     ranked = sorted(groups.items(), key=lambda item: item[0][0])
     return tuple(_group_text(*group, alike, render) for group, alike in ranked)
 
@@ -439,7 +440,9 @@ def _group(repair: Repair, render: Render) -> tuple[Rank, str]:
 def _group_text(rank: Rank, change: str, alike: list[Repair], render: Render) -> str:
     """Summarise a group of repairs. A single repair has its own text, unless it is a histidine state."""
     if rank is Rank.HISTIDINE:
-        his = group_values((item.facts["state"], item.facts["residue"].place) for item in alike)
+        his: dict[str, list[str]] = defaultdict(list)
+        for item in alike:
+            his[item.facts["state"]].append(item.facts["residue"].place)
         return "HIS states: " + "; ".join(f"{state} {abridge(his[state], _SHOWN)}" for state in sorted(his))
     if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
         return alike[0].sentence(render)

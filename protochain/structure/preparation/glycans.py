@@ -15,11 +15,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.graph import components
-from protochain.core.grouping import group_values
 from protochain.structure.molecule import sugars
 from protochain.structure.molecule.chirality import volume
 from protochain.structure.molecule.links import Link, is_metal
-from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.member import Address, Member
 from protochain.structure.molecule.repairs import Kind, Reason, Repair
 from protochain.structure.molecule.residues import Atom
 from protochain.structure.molecule.templates import GLYCAM, HAS_GLYCAM, Template
@@ -132,8 +131,11 @@ class _Surroundings:
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
         self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
-        bonds = [(first, second) for first, second in draft.stated_bonds if first[:2] != second[:2]]
-        self.stated = group_values(ends for bond in bonds for ends in (bond, bond[::-1]))
+        self.stated: dict[Address, list[Address]] = {}
+        for first, second in draft.stated_bonds:
+            if first[:2] != second[:2]:
+                self.stated.setdefault(first, []).append(second)
+                self.stated.setdefault(second, []).append(first)
 
     def stated_partners(self, member: Member, atom: gemmi.Atom) -> list[_OwnedAtom]:
         """Return the atoms of other residues, except metals, to which the file states a bond."""

@@ -12,7 +12,6 @@ from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
-from protochain.core.grouping import group_values
 from protochain.structure.formats.chain_splitting import chain_names, refuse_copies
 from protochain.structure.formats.files import in_file_order, number_atoms
 from protochain.structure.molecule.header import read_header
@@ -209,9 +208,10 @@ def resolve_altlocs(places: Sequence[list[gemmi.Residue]], altloc: str) -> tuple
     group = components(pairs, len(places))
     for g in np.unique(group[pairs]).tolist():
         group_atoms = [atom for atom in atoms if group[atom.place] == g]
-        occupancies = group_values((atom.letter, atom.occupancy) for atom in group_atoms)
+        occupancies: dict[str, list[float]] = {}
         places_with: dict[str, set[int]] = {}
         for atom in group_atoms:
+            occupancies.setdefault(atom.letter, []).append(atom.occupancy)
             is_water = places[atom.place][0].is_water()
             places_with.setdefault(atom.letter, set()).update([] if is_water else [atom.place])
         rank = {a: (a == altloc, len(places_with[a]), np.mean(occupancies[a])) for a in places_with}
@@ -363,7 +363,11 @@ def pick_altloc(group: list[gemmi.Residue], preferred: str) -> Conformation:
     names = [atom.name for atom in group[0] if not atom.has_altloc()]
     if len(group) == 1 and len({*names}) == len(group[0]):
         return Conformation(group[0], "", 1.0, [], [])
-    weights = group_values(((i, a.altloc), a.occ) for i, r in enumerate(group) for a in r if a.has_altloc())
+    weights: dict[tuple[int, str], list[float]] = {}
+    for i, residue in enumerate(group):
+        for atom in residue:
+            if atom.has_altloc():
+                weights.setdefault((i, atom.altloc), []).append(atom.occ)
     matching = [place for place in weights if place[1] == preferred]
     best, altloc = max(matching or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
     chosen = group[best]

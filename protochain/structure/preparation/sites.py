@@ -16,7 +16,6 @@ from protochain.core.arrays import Floats, Integers, angle, distance
 from protochain.core.checks import NO_BONDS
 from protochain.core.errors import Argument
 from protochain.core.graph import neighbours
-from protochain.core.grouping import group_values
 from protochain.structure.formats.records import DIGITS
 from protochain.structure.molecule.links import Link, is_metal, usual_length
 from protochain.structure.molecule.member import Address, Member
@@ -87,7 +86,10 @@ def find_links(draft: Draft) -> tuple[()]:
 
 def report_links(draft: Draft) -> Changes:
     """Report the bonds with springs, the ignored bonds, and overlaps."""
-    for site in group_values((id(link.hetero_atom), link) for link in draft.links).values():
+    sites: dict[int, list[Link]] = {}
+    for link in draft.links:
+        sites.setdefault(id(link.hetero_atom), []).append(link)
+    for site in sites.values():
         kind = Kind.COORDINATED if site[0].is_metal else Kind.BONDED
         if moves(draft, site[0].hetero, draft.links):
             kind = Kind.ION_MOVES
@@ -170,8 +172,11 @@ def list_bonds(draft: Draft) -> Changes:
     draft.links += _strand_links(draft)
     draft.other_links = [*sugars, *(link for fragment in draft.fragments for link in fragment.bonds)]
     draft.metal_links = _metal_links(draft)
-    between = (link for link in draft.metal_links if link.member is not link.hetero)
-    for site in group_values((id(link.hetero_atom), link) for link in between).values():
+    sites: dict[int, list[Link]] = {}
+    for link in draft.metal_links:
+        if link.member is not link.hetero:
+            sites.setdefault(id(link.hetero_atom), []).append(link)
+    for site in sites.values():
         yield _report_site(Kind.ION_HELD if len(site[0].hetero.atoms) == 1 else Kind.COORDINATED, site)
     yield from _report_unused(draft, [*draft.links, *draft.other_links, *hetero_links, *draft.metal_links])
 
