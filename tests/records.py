@@ -359,9 +359,12 @@ def _figure(figure: Figure) -> Iterator[tuple[str, str]]:
     """Labels, legend and curves of a figure's axes; of an axis of seconds only that it is there."""
     for k, ax in enumerate(figure.axes):
         about = {"title": ax.get_title(), "x": ax.get_xlabel(), "y": ax.get_ylabel()}
+        is_timed = re.search(r"second|\bs$|, s\b", f"{about['x']}\n{about['y']}", re.M)
+        if is_timed:
+            about["title"] = "..." if about["title"] else ""
         keys = [text.get_text() for text in ax.legend_.texts] if ax.legend_ else []
         yield f"{k}:labels", " | ".join([*about.values(), *keys]).replace("\n", " ")
-        if not re.search(r"second|\bs$|, s\b", f"{about['x']}\n{about['y']}", re.M):
+        if not is_timed:
             for m, line in enumerate(ax.lines[:9]):
                 x, y = (np.array(each, dtype=float) for each in line.get_data(orig=False))
                 some = len(x), *x[:1], np.nansum(x), np.nansum(y)

@@ -99,10 +99,12 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
         if len(sorted_values):
             share = 100.0 * np.arange(1, len(sorted_values) + 1) / len(sorted_values)
             ax.step(sorted_values, share, where="post", **styles[str(method)].line(str(method)))
-    medians = values.astype(float).groupby(methods, sort=False).median().dropna()
-    if len(medians):
-        name = f" by {medians.idxmin()}" if len(medians) > 1 else ""
-        ax.set_title(f"{'lowest ' if name else ''}median {medians.min():.3g}{name}")
+    medians = values.astype(float).groupby(methods).median().dropna().sort_values()
+    ends = [f"{medians.iloc[k]:.3g} ({medians.index[k]})" for k in (0, -1) if len(medians)]
+    if len(medians) > 1:
+        ax.set_title("medians from " + "\nto ".join(ends))
+    elif len(medians):
+        ax.set_title(f"median {ends[0]}")
     ax.set(xlabel=label, ylabel="structures up to this value, %", ylim=(0, 101))
     plain(ax)
     return figure

@@ -142,8 +142,9 @@ def test_distributions_count_what_is_up_to_each_value():
     for ax, values in zip(figure.axes, (drop, rmsd, seconds), strict=True):
         assert {line.get_label() for line in ax.lines} == {*methods}
         medians = {name: np.nanmedian(values[methods == name]) for name in dict.fromkeys(methods)}
-        lowest = min(medians, key=medians.__getitem__)
-        assert ax.get_title() == f"lowest median {medians[lowest]:.3g} by {lowest}"
+        low, *_, high = sorted(medians, key=medians.__getitem__)
+        title = f"medians from {medians[low]:.3g} ({low})\nto {medians[high]:.3g} ({high})"
+        assert ax.get_title() == title
         for line in ax.lines:
             own = values[(methods == line.get_label()) & np.isfinite(values)]
             x, share = line.get_data()

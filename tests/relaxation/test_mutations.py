@@ -279,7 +279,7 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     assert table["mutations"].tolist() == ["A:L7A", "A:K8A"] and table["message"][0] == "kept"
     assert table["ddg_kj_mol"][0] == pytest.approx(leucine.ddg, rel=1e-9)
     page, ranked = (tmp_path / "scan.html").read_text(), table.sort_values("ddg_kj_mol")
-    assert 'src="data:image/' in page and "kept" not in page  # Only reasons of failures are shown.
+    assert 'src="data:image/' in page and ">kept<" not in page  # Only reasons of failures are shown.
     for label, row in (("most", ranked.iloc[0]), ("least", ranked.iloc[1])):
         shown = f"{row['mutations']} {row['ddg_kj_mol']:+.1f}"
         assert f"<dt>{label} stable, kJ/mol</dt><dd>{shown}</dd>" in page
