@@ -204,8 +204,8 @@ def _scan(
         from protochain.results.page import write_scan
 
         reasons = mutations["message"].where(mutations["status"] != "converged")
-        named = mutations.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
-        shown_columns = named.assign(message=reasons).dropna(axis="columns", how="all")
+        measures = mutations.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
+        shown_columns = measures.assign(message=reasons).dropna(axis="columns", how="all")
         ranked = mutations.dropna(subset="ddg_kj_mol").sort_values("ddg_kj_mol", kind="stable")
         ends = {"most stable, kJ/mol": ranked.head(1), "least stable, kJ/mol": ranked.tail(1)}
         numbers = {"mutants": f"{len(mutations)}"} | {

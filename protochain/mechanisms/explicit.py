@@ -284,7 +284,7 @@ def _march(
     targets: Floats, places: Integers,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Steps that were possible, the last phase with work and time, and the rows. See ``march``."""
-    n, total, now, n_taken, last_places = steps // stride, work.copy(), time, 0, np.zeros_like(places)
+    n, total, now, n_taken, stage_places = steps // stride, work.copy(), time, 0, np.zeros_like(places)
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty((n, len(work)))
     q, qd, times_of_step = start.copy(), speed.copy(), np.max(places)
@@ -294,9 +294,9 @@ def _march(
         length, elapsed, spent, possible = h if i >= 0 else 0.0, 0.0, total.copy(), False
         part = length
         if i >= 0:
-            last_places = places + i * times_of_step
+            stage_places = places + i * times_of_step
         for _ in range(_MOST):
-            tried = _step(part, tableau, arrays, extras, q, qd, targets, last_places)
+            tried = _step(part, tableau, arrays, extras, q, qd, targets, stage_places)
             size = 0.0 if tried[0] or i < 0 else np.inf
             if tolerance > 0.0 and tried[0] and i >= 0:
                 for k in range(len(units)):
