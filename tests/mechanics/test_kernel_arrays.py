@@ -21,6 +21,24 @@ def keep_borrowed(source):
     return borrow((source,))[0].copy()
 
 
+@njit
+def sum_in_turn(arrays, n):
+    """Take arrays from tuples in a loop, so that their counts cannot be removed otherwise."""
+    total, borrowed = 0.0, borrow(arrays)
+    for i in range(n):
+        table, (rows, places) = borrowed
+        chosen = rows if places[i % len(places)] > i else table
+        total += chosen[i % len(chosen)]
+    return total
+
+
+def test_references_of_borrowed_arrays_are_not_counted():
+    assert sum_in_turn((np.arange(3.0), (np.arange(4.0), np.arange(2))), 9) == 9.0
+    (code,) = sum_in_turn.inspect_llvm().values()
+    assert "call void @NRT_decref" in code  # Of the arguments: these are the names of the functions.
+    assert "call void @NRT_incref" not in code
+
+
 def test_borrowed_arrays_are_the_same_arrays_and_outlive_the_call():
     first, table, places = np.arange(3.0), np.arange(6.0).reshape(2, 3), np.array([3, 7])
     counts = [sys.getrefcount(array) for array in (first, table, places)]
